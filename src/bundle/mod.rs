@@ -1,0 +1,68 @@
+//! Baked smoke: the asset a game loads, and the `.smoke` files it comes from.
+//!
+//! A [`SmokeAnimation`] is a row of frames over one box of cells. A frame's density is `D = D̃ + R`: a few hundred
+//! Gaussians ([`RbfModel`]) and what they leave out, 8 bits a cell in a perfect hash ([`HashedResidual`]).
+//! [`SmokeAnimationLoader`] loads it through the asset server; [`read`] does the same without Bevy, [`BundleHeader`]
+//! gives access to single frames, and `write` (feature `bake`) makes the file. `docs/format.md` describes every byte.
+
+mod error;
+mod format;
+mod frame;
+mod loader;
+#[cfg(all(test, feature = "bake"))]
+mod tests;
+
+use std::sync::Arc;
+
+use bevy::asset::Asset;
+use bevy::reflect::TypePath;
+
+use crate::density::{GridShape, Placement};
+use crate::rbf::RbfModel;
+use crate::residual::HashedResidual;
+
+pub use error::{BundleError, FrameError};
+#[cfg(feature = "bake")]
+pub(crate) use format::check_shape;
+#[cfg(feature = "bake")]
+pub use format::write;
+pub use format::{BundleHeader, FrameEntry, MAX_CELLS, MAX_FRAMES, MAX_SIDE, MAX_TOTAL_BYTES, read};
+pub use frame::{MAX_RADIUS, MAX_RBFS, MIN_RADIUS};
+#[cfg(feature = "bake")]
+pub use frame::{SectionBytes, section_bytes};
+pub use loader::{SmokeAnimationLoader, SmokeLoadError};
+
+/// A baked animation of smoke density.
+#[derive(Asset, TypePath, Clone, Debug, PartialEq)]
+pub struct SmokeAnimation {
+    /// The box of cells that all frames share.
+    pub shape: GridShape,
+    /// Where the density file placed the box in the world.
+    pub placement: Placement,
+    /// Playback speed, above 0.
+    pub frames_per_second: f32,
+    /// The largest density of any cell in any frame, at least 0.
+    pub max_density: f32,
+    /// The frames in order, at least one. Cloning the animation shares them.
+    pub frames: Vec<Arc<SmokeFrame>>,
+}
+
+/// One moment of an animation: density `D = max(0, D̃ + R)`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SmokeFrame {
+    /// The Gaussians `D̃`, in which light transport is computed.
+    pub rbfs: RbfModel,
+    /// What they leave out: `R`, on the animation's cells.
+    pub residual: HashedResidual,
+}
+
+impl SmokeFrame {
+    /// The density of every cell, in flat order: what the GPU's density pass computes.
+    pub fn decode(&self) -> Vec<f32> {
+        let mut density = self.rbfs.rasterize(self.residual.shape());
+        for (d, r) in density.iter_mut().zip(self.residual.decode_all()) {
+            *d = (*d + r).max(0.0);
+        }
+        density
+    }
+}

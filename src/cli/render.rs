@@ -1,0 +1,467 @@
+//! `smoke render`: draws a scene with the real plug-in in a windowless app.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail, ensure};
+use bevy::asset::RenderAssetUsages;
+use bevy::camera::{Exposure, Hdr};
+use bevy::core_pipeline::tonemapping::{DebandDither, Tonemapping};
+use bevy::diagnostic::{Diagnostic, DiagnosticPath, DiagnosticsStore};
+use bevy::prelude::*;
+use bevy::render::render_resource::{Extent3d, TextureDimension, TextureFormat};
+use bevy::render::renderer::RenderAdapterInfo;
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use super::exr_io::{ExrImage, encode_rgba};
+use super::output::OutputFile;
+use super::scene::{Environment, Scene, ScenePlacement};
+use crate::bundle::{self, SmokeAnimation};
+use crate::headless::Headless;
+use crate::prelude::*;
+use crate::render::SmokeRenderStats;
+
+/// Arguments of `smoke render`.
+#[derive(Args, Debug)]
+#[command(
+    after_help = "Example:\n  smoke render plume.smoke -o plume.exr --scene scene.json --scattering single\n\n\
+    An EXR holds linear media radiance without background in R, G, B and 1 - transmittance in A; a PNG holds the same \
+    over black, sRGB-encoded, without tone mapping."
+)]
+pub struct RenderArgs {
+    /// The smoke: a .smoke bundle; it overrides the scene's `density`
+    input: PathBuf,
+    /// The picture to write, .exr or .png
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Medium, light and camera, as JSON
+    #[arg(long)]
+    scene: PathBuf,
+    /// Which frame of the bundle, from 0
+    #[arg(long, default_value_t = 0)]
+    frame: u32,
+    /// How often the scene is drawn: more than once to see in --stats what the first frame costs and what the rest do
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    frames: u32,
+    /// How source radiance is computed
+    #[arg(long, value_enum, default_value_t = Method::Auto)]
+    method: Method,
+    /// How often light may scatter on its way to the eye
+    #[arg(long, value_enum, default_value_t = Scattering::Auto)]
+    scattering: Scattering,
+    /// Picture size, in place of the scene's
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    size: Option<[u32; 2]>,
+    /// Rays a pixel, a square number (1, 4, 9, 16, ...): the picture is drawn that much larger and averaged, as a path
+    /// tracer averages over a pixel's area
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = parse_square)]
+    spp: u32,
+    /// Writes what was done and what it cost, as JSON
+    #[arg(long)]
+    stats: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Method {
+    /// The cheapest that the scene allows
+    Auto,
+    /// RBFs with probes: the product's best on bundles
+    Rbf,
+    /// Zhou et al. 2008 as printed (not available yet)
+    Paper,
+    /// Navarro et al. 2008 (not available yet)
+    Constellation,
+    /// The path-traced reference (not available yet)
+    Path,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Scattering {
+    /// What the medium needs
+    Auto,
+    /// Exactly one scattering event
+    Single,
+    /// Any number of scattering events (not available yet)
+    Multiple,
+}
+
+fn parse_size(text: &str) -> Result<[u32; 2], String> {
+    let sides = text
+        .split_once(['x', 'X'])
+        .and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+    match sides {
+        Some([width, height]) if (1..=8192).contains(&width) && (1..=8192).contains(&height) => Ok([width, height]),
+        _ => Err("a size is WIDTHxHEIGHT in pixels, each 1 to 8192: 320x240".into()),
+    }
+}
+
+fn parse_square(text: &str) -> Result<u32, String> {
+    match text.parse::<u32>() {
+        Ok(n) if (1..=256).contains(&n) && n.isqrt().pow(2) == n => Ok(n),
+        _ => Err("rays a pixel are a square number from 1 to 256: 1, 4, 9, 16, ...".into()),
+    }
+}
+
+/// What `--stats` writes.
+#[derive(Serialize)]
+struct Stats {
+    adapter: String,
+    backend: String,
+    method: Choice<Method>,
+    scattering: Choice<Scattering>,
+    size: [u32; 2],
+    spp: u32,
+    cells: [u32; 3],
+    rbfs: usize,
+    probes: usize,
+    frames: u32,
+    passes: Vec<PassStats>,
+}
+
+/// What was asked for, what was done, and why.
+#[derive(Serialize)]
+struct Choice<T> {
+    asked: T,
+    used: T,
+    why: &'static str,
+}
+
+#[derive(Serialize)]
+struct PassStats {
+    name: &'static str,
+    /// Dispatches (draws) of every frame, the first one first.
+    dispatches: Vec<u32>,
+    /// GPU milliseconds of the first time it ran; null where the adapter has no timestamps.
+    first_ms: Option<f64>,
+    /// Median of the other times; null where there were none.
+    steady_ms: Option<f64>,
+}
+
+/// Runs the command.
+pub fn run(args: RenderArgs) -> anyhow::Result<()> {
+    let (method, scattering) = choose(&args)?;
+    let kind = PictureKind::of(&args.output)?;
+    let (scene, warnings) = Scene::read(&args.scene)?;
+    for warning in warnings {
+        eprintln!("warning: {}: {warning}", args.scene.display());
+    }
+    let inputs = [args.input.as_path(), args.scene.as_path()];
+    let output = OutputFile::prepare(&args.output, &inputs)?;
+    let stats_file = args
+        .stats
+        .as_deref()
+        .map(|path| OutputFile::prepare(path, &inputs))
+        .transpose()?;
+    let animation = read_bundle(&args.input)?;
+    let frame_count = animation.frames.len() as u32;
+    ensure!(
+        args.frame < frame_count,
+        "frame {} of a bundle that has {frame_count}, counted from 0",
+        args.frame
+    );
+
+    let size = args.size.unwrap_or(scene.camera.size);
+    let rays = args.spp.isqrt();
+    let drawn = size.map(|side| side * rays);
+    ensure!(
+        drawn.iter().all(|side| *side <= MAX_SIDE),
+        "{} x {} pixels at {} rays each are more than an adapter's {MAX_SIDE} a side: lower --size or --spp",
+        size[0],
+        size[1],
+        args.spp
+    );
+    let rbfs = animation.frames[args.frame as usize].rbfs.rbfs.len();
+    let cells = animation.shape.dims.to_array();
+    let mut headless = Headless::new(drawn.into(), TextureFormat::Rgba16Float)?;
+    spawn_scene(&mut headless, &scene, animation, args.frame)?;
+
+    // The first frame is the one in which the smoke appears.
+    let mut counts = vec![[0; SmokeRenderStats::PASSES.len()]];
+    headless.settle()?;
+    counts.push(headless.app.world().resource::<SmokeRenderStats>().dispatches());
+    for _ in 1..args.frames {
+        headless.app.update();
+        counts.push(headless.app.world().resource::<SmokeRenderStats>().dispatches());
+    }
+    let pixels = average(&headless.float_pixels(), size, rays);
+    ensure!(
+        pixels.iter().flatten().all(|value| value.is_finite()),
+        "the picture has pixels that are not finite: this is a fault of bevy_smoke, please report the scene"
+    );
+    output.write(&kind.encode(size, &pixels)?)?;
+
+    if let Some(file) = stats_file {
+        // GPU times arrive a few frames late.
+        for _ in 0..4 {
+            headless.app.update();
+        }
+        let world = headless.app.world();
+        let adapter = world.resource::<RenderAdapterInfo>();
+        let stats = Stats {
+            adapter: adapter.name.clone(),
+            backend: adapter.backend.to_string(),
+            method,
+            scattering,
+            size,
+            spp: args.spp,
+            cells,
+            rbfs,
+            probes: 4 * rbfs,
+            frames: args.frames,
+            passes: pass_stats(&counts, world.resource()),
+        };
+        file.write(&serde_json::to_vec_pretty(&stats)?)?;
+    }
+    Ok(())
+}
+
+/// The longest side of a texture that every adapter allows.
+const MAX_SIDE: u32 = 8192;
+
+/// Means of blocks of `rays` × `rays`: a box filter over each pixel.
+fn average(fine: &[[f32; 4]], [width, height]: [u32; 2], rays: u32) -> Vec<[f32; 4]> {
+    let weight = 1.0 / f64::from(rays * rays);
+    let mut pixels = Vec::with_capacity((width * height) as usize);
+    for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+        let mut sum = [0.0_f64; 4];
+        for (j, i) in (0..rays).flat_map(|j| (0..rays).map(move |i| (j, i))) {
+            let at = (y * rays + j) * width * rays + x * rays + i;
+            for (sum, value) in sum.iter_mut().zip(fine[at as usize]) {
+                *sum += f64::from(value);
+            }
+        }
+        pixels.push(sum.map(|sum| (sum * weight) as f32));
+    }
+    pixels
+}
+
+/// What to do, of what was asked for.
+fn choose(args: &RenderArgs) -> anyhow::Result<(Choice<Method>, Choice<Scattering>)> {
+    let method = match args.method {
+        Method::Auto => Choice {
+            asked: Method::Auto,
+            used: Method::Rbf,
+            why: "the input is a bundle",
+        },
+        Method::Rbf => Choice {
+            asked: Method::Rbf,
+            used: Method::Rbf,
+            why: "asked for",
+        },
+        other => {
+            let name = other
+                .to_possible_value()
+                .map(|value| value.get_name().to_owned())
+                .unwrap_or_default();
+            bail!("--method {name} is not available yet: use rbf")
+        }
+    };
+    let scattering = match args.scattering {
+        Scattering::Auto => Choice {
+            asked: Scattering::Auto,
+            used: Scattering::Single,
+            why: "single scattering is what is available",
+        },
+        Scattering::Single => Choice {
+            asked: Scattering::Single,
+            used: Scattering::Single,
+            why: "asked for",
+        },
+        Scattering::Multiple => bail!("--scattering multiple is not available yet: use single"),
+    };
+    Ok((method, scattering))
+}
+
+fn read_bundle(path: &Path) -> anyhow::Result<SmokeAnimation> {
+    let is_density = path
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("vdb") || e.eq_ignore_ascii_case("npy"));
+    ensure!(
+        !is_density,
+        "{} is a density file: bake it first (smoke bake {0} -o OUT.smoke)",
+        path.display()
+    );
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    bundle::read(&bytes).with_context(|| path.display().to_string())
+}
+
+/// Spawns the volume and a camera that shows radiance as it is: exposure 1, no tone mapping, no dithering.
+fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation, frame: u32) -> anyhow::Result<()> {
+    let transform = match scene.placement {
+        ScenePlacement::File => {
+            let placement = animation.placement;
+            let side = placement.voxel_size * f64::from(animation.shape.longest());
+            Transform::from_translation(placement.center.as_vec3()).with_scale(Vec3::splat(side as f32))
+        }
+        ScenePlacement::Width(width) => Transform::from_scale(Vec3::splat(width as f32)),
+    };
+    let world = headless.app.world_mut();
+    let environment = match &scene.environment {
+        Environment::Equirect(path) => {
+            let image = world.resource_mut::<Assets<Image>>().add(read_equirect(path)?);
+            SmokeEnvironment::equirect(image, 1.0)
+        }
+        lobes => {
+            let coefficients = lobes
+                .coefficients()
+                .expect("lobes have coefficients")
+                .0
+                .map(|c| c.as_vec3());
+            SmokeEnvironment::Coefficients {
+                coefficients,
+                intensity: 1.0,
+            }
+        }
+    };
+    let animation = world.resource_mut::<Assets<SmokeAnimation>>().add(animation);
+    let albedo = scene.albedo.as_vec3();
+    world.spawn((
+        SmokeVolume { animation, frame },
+        SmokeMedium {
+            sigma_t: scene.sigma_t as f32,
+            albedo: LinearRgba::rgb(albedo.x, albedo.y, albedo.z),
+            g: scene.g as f32,
+        },
+        environment,
+        transform,
+    ));
+
+    let camera = &scene.camera;
+    let projection = PerspectiveProjection {
+        fov: camera.fov_y_deg.to_radians() as f32,
+        near: 1e-3,
+        ..default()
+    };
+    let target = headless.target();
+    headless.app.world_mut().spawn((
+        Camera3d::default(),
+        Camera {
+            clear_color: ClearColorConfig::Custom(Color::NONE),
+            ..default()
+        },
+        target,
+        Hdr,
+        Msaa::Off,
+        Tonemapping::None,
+        DebandDither::Disabled,
+        // Exposure is 1 / (1.2 · 2^ev100): this makes it 1.
+        Exposure {
+            ev100: -(1.2_f32.log2()),
+        },
+        Projection::Perspective(projection),
+        Transform::from_translation(camera.eye.as_vec3()).looking_at(camera.target.as_vec3(), Vec3::Y),
+    ));
+    Ok(())
+}
+
+/// A latitude-longitude image, HDR or EXR, as linear floats.
+fn read_equirect(path: &Path) -> anyhow::Result<Image> {
+    let is_exr = path
+        .extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
+    let ([width, height], rgb) = if is_exr {
+        let image = ExrImage::read(path)?;
+        (image.size.map(|side| side as u32), image.rgb()?)
+    } else {
+        let image = image::open(path)
+            .with_context(|| format!("cannot read {}", path.display()))?
+            .into_rgb32f();
+        (
+            [image.width(), image.height()],
+            image.pixels().map(|pixel| pixel.0).collect(),
+        )
+    };
+    let finite = rgb.iter().flatten().all(|value| value.is_finite());
+    ensure!(finite, "{} has pixels that are not finite", path.display());
+    let data: Vec<u8> = rgb
+        .iter()
+        .flat_map(|&[r, g, b]| [r, g, b, 1.0])
+        .flat_map(f32::to_le_bytes)
+        .collect();
+    Ok(Image::new(
+        Extent3d {
+            width,
+            height,
+            depth_or_array_layers: 1,
+        },
+        TextureDimension::D2,
+        data,
+        TextureFormat::Rgba32Float,
+        RenderAssetUsages::default(),
+    ))
+}
+
+#[derive(Clone, Copy)]
+enum PictureKind {
+    Exr,
+    Png,
+}
+
+impl PictureKind {
+    fn of(path: &Path) -> anyhow::Result<Self> {
+        match path.extension().and_then(|extension| extension.to_str()) {
+            Some(e) if e.eq_ignore_ascii_case("exr") => Ok(Self::Exr),
+            Some(e) if e.eq_ignore_ascii_case("png") => Ok(Self::Png),
+            _ => bail!("{}: a picture is written as .exr or .png", path.display()),
+        }
+    }
+
+    fn encode(self, [width, height]: [u32; 2], pixels: &[[f32; 4]]) -> anyhow::Result<Vec<u8>> {
+        match self {
+            Self::Exr => encode_rgba(width as usize, height as usize, pixels),
+            Self::Png => {
+                let encode = |linear: f32| {
+                    let srgb = if linear <= 0.003_130_8 {
+                        12.92 * linear
+                    } else {
+                        1.055 * linear.powf(1.0 / 2.4) - 0.055
+                    };
+                    (255.0 * srgb).round().clamp(0.0, 255.0) as u8
+                };
+                let bytes = pixels.iter().flat_map(|&[r, g, b, _]| [r, g, b].map(encode)).collect();
+                let image =
+                    image::RgbImage::from_raw(width, height, bytes).context("the picture has the wrong size")?;
+                let mut png = std::io::Cursor::new(Vec::new());
+                image.write_to(&mut png, image::ImageFormat::Png)?;
+                Ok(png.into_inner())
+            }
+        }
+    }
+}
+
+/// Differences of the running counts, and the GPU spans' times.
+fn pass_stats(counts: &[[u32; SmokeRenderStats::PASSES.len()]], diagnostics: &DiagnosticsStore) -> Vec<PassStats> {
+    let times = |name: &str| -> Vec<f64> {
+        let path = DiagnosticPath::new(format!("render/{name}/elapsed_gpu"));
+        diagnostics
+            .get(&path)
+            .map(Diagnostic::values)
+            .into_iter()
+            .flatten()
+            .copied()
+            .collect()
+    };
+    (0..)
+        .zip(SmokeRenderStats::PASSES)
+        .map(|(i, name): (usize, _)| {
+            let dispatches = counts.windows(2).map(|pair| pair[1][i] - pair[0][i]).collect();
+            let (first_ms, rest) = match times(name).split_first() {
+                Some((first, rest)) => (Some(*first), rest.to_vec()),
+                None => (None, Vec::new()),
+            };
+            PassStats {
+                name,
+                dispatches,
+                first_ms,
+                steady_ms: median(rest),
+            }
+        })
+        .collect()
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}

@@ -1,0 +1,326 @@
+//! The scene file of `smoke render`: a medium, its light and a camera, as JSON.
+//!
+//! Paths are relative to the file. Unknown keys, and keys for what is not there yet, are warnings; a value that makes no
+//! sense is an error that names its key.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow, ensure};
+use glam::DVec3;
+use serde_json::{Map, Value};
+
+use crate::sh::{ShRgb, SphereRule};
+
+/// Everything `smoke render` needs to know beside the smoke itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// The density file or bundle, if the scene names one.
+    pub density: Option<PathBuf>,
+    /// Where the box of the density lies in the world.
+    pub placement: ScenePlacement,
+    /// Extinction per metre where the density is 1, at least 0.
+    pub sigma_t: f64,
+    /// Single-scattering albedo per colour, 0 to 1.
+    pub albedo: DVec3,
+    /// Henyey–Greenstein asymmetry, between −1 and 1; above 0 scatters forward.
+    pub g: f64,
+    /// Light from infinitely far away.
+    pub environment: Environment,
+    /// The pinhole camera.
+    pub camera: SceneCamera,
+}
+
+/// Where the box of the density lies in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ScenePlacement {
+    /// Where the density file itself puts it.
+    File,
+    /// Centred on the origin, its longest side this many metres.
+    Width(f64),
+}
+
+/// Light from infinitely far away, linear RGB radiance.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Environment {
+    /// A constant and smooth lobes: exactly 16 spherical harmonics.
+    Lobes {
+        /// Radiance from everywhere.
+        ambient: DVec3,
+        /// Lobes on top of it.
+        lobes: Vec<Lobe>,
+    },
+    /// An equirectangular image: column 0.5 looks to +Z, row 0 is up.
+    Equirect(PathBuf),
+}
+
+/// A smooth light, `rgb · (1 + t)(t + 0.3)² / 3.38` with `t` the cosine to `direction`: `rgb` at its centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lobe {
+    /// Unit vector toward the light.
+    pub direction: DVec3,
+    /// Radiance at the centre.
+    pub rgb: DVec3,
+}
+
+/// A pinhole camera with +Y up; the picture's top row comes first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SceneCamera {
+    /// Position in metres.
+    pub eye: DVec3,
+    /// The point in the middle of the picture.
+    pub target: DVec3,
+    /// Vertical field of view in degrees, between 0 and 180.
+    pub fov_y_deg: f64,
+    /// Width and height in pixels.
+    pub size: [u32; 2],
+}
+
+impl Environment {
+    /// Radiance from direction `w` (a unit vector away from the scene); `None` for an image.
+    pub fn radiance(&self, w: DVec3) -> Option<DVec3> {
+        let Self::Lobes { ambient, lobes } = self else {
+            return None;
+        };
+        let lobe = |lobe: &Lobe| {
+            let t = w.dot(lobe.direction);
+            lobe.rgb * ((1.0 + t) * (t + 0.3).powi(2) / 3.38)
+        };
+        Some(*ambient + lobes.iter().map(lobe).sum::<DVec3>())
+    }
+
+    /// The 16 RGB coefficients `∫ L(ω) y_k(ω) dω`, in world axes; `None` for an image.
+    ///
+    /// Radiance and basis are polynomials of degree 3, so that a rule exact through degree 7 gives the integral to
+    /// rounding.
+    pub fn coefficients(&self) -> Option<ShRgb> {
+        let Self::Lobes { .. } = self else { return None };
+        Some(ShRgb::project(&SphereRule::new(4), |w| {
+            self.radiance(w).unwrap_or_default()
+        }))
+    }
+}
+
+impl Scene {
+    /// Reads a scene file; the second value is its warnings, one line each.
+    pub fn read(path: &Path) -> anyhow::Result<(Self, Vec<String>)> {
+        let name = path.display();
+        let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        Self::parse(&text, folder).with_context(|| format!("scene {name}"))
+    }
+
+    /// The same from text; `folder` is what its paths are relative to.
+    pub fn parse(text: &str, folder: &Path) -> anyhow::Result<(Self, Vec<String>)> {
+        let value: Value = serde_json::from_str(text)?;
+        let mut warnings = Vec::new();
+        let mut top = Keys::new("", &value, folder)?;
+
+        let width = top.optional("width_m", positive)?;
+        let placement = match (top.required("placement", text_value)?.as_str(), width) {
+            ("file", _) => ScenePlacement::File,
+            ("width", Some(width)) => ScenePlacement::Width(width),
+            ("width", None) => return Err(anyhow!("missing key width_m, which placement \"width\" needs")),
+            (other, _) => return Err(anyhow!("placement: \"{other}\" is neither \"file\" nor \"width\"")),
+        };
+        let scene = Self {
+            density: top.optional("density", text_value)?.map(|path| folder.join(path)),
+            placement,
+            sigma_t: top.required("sigma_t", not_negative)?,
+            albedo: top.required("albedo", |v| Ok(DVec3::from(triple(v, share)?)))?,
+            g: top.required("g", |v| {
+                let g = number(v)?;
+                ensure!(g.abs() < 1.0, "{g} is not between -1 and 1");
+                Ok(g)
+            })?,
+            environment: environment(top.nested("env")?, &mut warnings)?,
+            camera: SceneCamera {
+                eye: top.required("eye", vector)?,
+                target: top.required("target", vector)?,
+                fov_y_deg: top.required("fov_y_deg", |v| {
+                    let fov = number(v)?;
+                    ensure!(fov > 0.0 && fov < 180.0, "{fov} is not between 0 and 180 degrees");
+                    Ok(fov)
+                })?,
+                size: top.required("size", picture_size)?,
+            },
+        };
+        let view = scene.camera.target - scene.camera.eye;
+        ensure!(view.length() > 0.0, "target: the same point as eye");
+        ensure!(
+            view.normalize().cross(DVec3::Y).length() > 1e-6,
+            "target: straight above or below eye, where +Y cannot be up in the picture"
+        );
+        top.unused(&["lights", "plane", "spheres"], &mut warnings);
+        Ok((scene, warnings))
+    }
+}
+
+fn environment(mut keys: Keys, warnings: &mut Vec<String>) -> anyhow::Result<Environment> {
+    let environment = match keys.required("kind", text_value)?.as_str() {
+        "lobes" => Environment::Lobes {
+            ambient: keys.required("ambient", color)?,
+            lobes: keys
+                .list("lobes")?
+                .into_iter()
+                .map(|mut lobe| {
+                    let direction = lobe.required("dir", |v| {
+                        vector(v)?.try_normalize().ok_or_else(|| anyhow!("not a direction"))
+                    })?;
+                    let rgb = lobe.required("rgb", color)?;
+                    lobe.unused(&[], warnings);
+                    Ok(Lobe { direction, rgb })
+                })
+                .collect::<anyhow::Result<_>>()?,
+        },
+        "equirect" => Environment::Equirect(keys.folder.join(keys.required("path", text_value)?)),
+        "constant" => Environment::Lobes {
+            ambient: keys.required("rgb", color)?,
+            lobes: Vec::new(),
+        },
+        other => {
+            return Err(anyhow!(
+                "env.kind: \"{other}\" is none of \"lobes\", \"equirect\", \"constant\""
+            ));
+        }
+    };
+    keys.unused(&[], warnings);
+    Ok(environment)
+}
+
+/// The keys of a JSON object, and which of them have been read.
+struct Keys<'a> {
+    /// What comes before a key in messages: empty, `env.`, `env.lobes[0].`
+    prefix: String,
+    object: &'a Map<String, Value>,
+    folder: &'a Path,
+    read: Vec<&'static str>,
+}
+
+impl<'a> Keys<'a> {
+    fn new(prefix: &str, value: &'a Value, folder: &'a Path) -> anyhow::Result<Self> {
+        let named = if prefix.is_empty() {
+            "the file"
+        } else {
+            prefix.trim_end_matches('.')
+        };
+        let object = value
+            .as_object()
+            .ok_or_else(|| anyhow!("{named}: not an object {{…}}"))?;
+        Ok(Self {
+            prefix: prefix.into(),
+            object,
+            folder,
+            read: Vec::new(),
+        })
+    }
+
+    fn optional<T>(
+        &mut self,
+        key: &'static str,
+        parse: impl FnOnce(&Value) -> anyhow::Result<T>,
+    ) -> anyhow::Result<Option<T>> {
+        self.read.push(key);
+        let value = self.object.get(key).map(parse).transpose();
+        // The reason joins the key in one message, as the two only make sense together.
+        value.map_err(|error| anyhow!("{}{key}: {error}", self.prefix))
+    }
+
+    fn required<T>(&mut self, key: &'static str, parse: impl FnOnce(&Value) -> anyhow::Result<T>) -> anyhow::Result<T> {
+        let value = self.optional(key, parse)?;
+        value.ok_or_else(|| anyhow!("missing key {}{key}", self.prefix))
+    }
+
+    fn value(&mut self, key: &'static str) -> anyhow::Result<&'a Value> {
+        self.read.push(key);
+        self.object
+            .get(key)
+            .ok_or_else(|| anyhow!("missing key {}{key}", self.prefix))
+    }
+
+    fn nested(&mut self, key: &'static str) -> anyhow::Result<Keys<'a>> {
+        let value = self.value(key)?;
+        Keys::new(&format!("{}{key}.", self.prefix), value, self.folder)
+    }
+
+    fn list(&mut self, key: &'static str) -> anyhow::Result<Vec<Keys<'a>>> {
+        let name = format!("{}{key}", self.prefix);
+        let items = self
+            .value(key)?
+            .as_array()
+            .ok_or_else(|| anyhow!("{name}: not a list […]"))?;
+        let keys = |(i, item)| Keys::new(&format!("{name}[{i}]."), item, self.folder);
+        items.iter().enumerate().map(keys).collect()
+    }
+
+    /// Warns of every key that nobody asked for.
+    fn unused(&self, planned: &[&str], warnings: &mut Vec<String>) {
+        for key in self.object.keys().filter(|key| !self.read.contains(&key.as_str())) {
+            let problem = if planned.contains(&key.as_str()) {
+                "not supported yet"
+            } else {
+                "unknown key"
+            };
+            warnings.push(format!("{}{key}: {problem}, ignored", self.prefix));
+        }
+    }
+}
+
+fn text_value(value: &Value) -> anyhow::Result<String> {
+    value
+        .as_str()
+        .map(String::from)
+        .ok_or_else(|| anyhow!("{value} is not a text"))
+}
+
+fn number(value: &Value) -> anyhow::Result<f64> {
+    let number = value.as_f64().ok_or_else(|| anyhow!("{value} is not a number"))?;
+    ensure!(number.is_finite(), "{value} is not a finite number");
+    Ok(number)
+}
+
+fn not_negative(value: &Value) -> anyhow::Result<f64> {
+    let number = number(value)?;
+    ensure!(number >= 0.0, "{number} is negative");
+    Ok(number)
+}
+
+fn positive(value: &Value) -> anyhow::Result<f64> {
+    let number = number(value)?;
+    ensure!(number > 0.0, "{number} is not above 0");
+    Ok(number)
+}
+
+fn share(value: &Value) -> anyhow::Result<f64> {
+    let number = number(value)?;
+    ensure!((0.0..=1.0).contains(&number), "{number} is not between 0 and 1");
+    Ok(number)
+}
+
+fn triple(value: &Value, parse: fn(&Value) -> anyhow::Result<f64>) -> anyhow::Result<[f64; 3]> {
+    match value.as_array().map(Vec::as_slice) {
+        Some([x, y, z]) => Ok([parse(x)?, parse(y)?, parse(z)?]),
+        _ => Err(anyhow!("{value} is not a list of three numbers")),
+    }
+}
+
+fn vector(value: &Value) -> anyhow::Result<DVec3> {
+    Ok(DVec3::from(triple(value, number)?))
+}
+
+fn color(value: &Value) -> anyhow::Result<DVec3> {
+    Ok(DVec3::from(triple(value, not_negative)?))
+}
+
+fn picture_size(value: &Value) -> anyhow::Result<[u32; 2]> {
+    let side = |value: &Value| match value.as_u64() {
+        Some(side @ 1..=16_384) => Ok(side as u32),
+        _ => Err(anyhow!("{value} is not a whole number of pixels from 1 to 16384")),
+    };
+    match value.as_array().map(Vec::as_slice) {
+        Some([width, height]) => Ok([side(width)?, side(height)?]),
+        _ => Err(anyhow!("{value} is not [width, height]")),
+    }
+}
+
+#[cfg(test)]
+mod tests;

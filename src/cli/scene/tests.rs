@@ -1,0 +1,141 @@
+use super::*;
+
+const PLUME: &str = r#"{
+    "density": "../plume.vdb", "placement": "file", "width_m": 3.0,
+    "sigma_t": 2.49, "albedo": [0.66, 0.7, 1], "g": -0.5,
+    "env": { "kind": "lobes", "ambient": [0.1, 0.2, 0.3], "lobes": [ { "dir": [0, 0, 2], "rgb": [3, 2, 1] } ] },
+    "eye": [0, 0, 6], "target": [0, 0, 0], "fov_y_deg": 28, "size": [72, 120]
+}"#;
+
+fn parse(text: &str) -> anyhow::Result<(Scene, Vec<String>)> {
+    Scene::parse(text, Path::new("scenes"))
+}
+
+/// The plume's scene with one part of its text changed.
+fn changed(from: &str, to: &str) -> anyhow::Result<(Scene, Vec<String>)> {
+    assert!(PLUME.contains(from));
+    parse(&PLUME.replace(from, to))
+}
+
+fn fault(from: &str, to: &str) -> String {
+    format!("{:#}", changed(from, to).unwrap_err())
+}
+
+#[test]
+fn a_scene() {
+    let (scene, warnings) = parse(PLUME).unwrap();
+    assert!(warnings.is_empty());
+    assert_eq!(scene.density.as_deref(), Some(Path::new("scenes/../plume.vdb")));
+    assert_eq!(scene.placement, ScenePlacement::File);
+    assert_eq!(
+        (scene.sigma_t, scene.g, scene.albedo),
+        (2.49, -0.5, DVec3::new(0.66, 0.7, 1.0))
+    );
+    assert_eq!(
+        (scene.camera.eye, scene.camera.size),
+        (DVec3::new(0.0, 0.0, 6.0), [72, 120])
+    );
+
+    let (scene, _) = changed("\"file\"", "\"width\"").unwrap();
+    assert_eq!(scene.placement, ScenePlacement::Width(3.0));
+    let (scene, _) = changed("\"density\": \"../plume.vdb\",", "").unwrap();
+    assert_eq!(scene.density, None);
+}
+
+#[test]
+fn lobes_become_their_coefficients() {
+    let (scene, _) = parse(PLUME).unwrap();
+    let sh = scene.environment.coefficients().unwrap();
+    // An order-4 polynomial is its own projection: rounding is all that may differ.
+    for w in [
+        DVec3::Z,
+        -DVec3::Z,
+        DVec3::X,
+        DVec3::new(0.48, -0.6, 0.64),
+        DVec3::new(-2.0, 3.0, 6.0) / 7.0,
+    ] {
+        let exact = scene.environment.radiance(w).unwrap();
+        assert!((sh.evaluate(w) - exact).length() < 1e-13, "{w}");
+    }
+    // The lobe's centre: rgb on top of the ambient light. Opposite it: nothing.
+    assert!((sh.evaluate(DVec3::Z) - DVec3::new(3.1, 2.2, 1.3)).length() < 1e-13);
+    assert!((sh.evaluate(-DVec3::Z) - DVec3::new(0.1, 0.2, 0.3)).length() < 1e-13);
+}
+
+#[test]
+fn a_constant_is_band_zero() {
+    let text = r#"{ "kind": "constant", "rgb": [1, 2, 0] }"#;
+    let value: Value = serde_json::from_str(text).unwrap();
+    let environment = environment(Keys::new("env.", &value, Path::new("")).unwrap(), &mut Vec::new()).unwrap();
+    let sh = environment.coefficients().unwrap();
+    // ∫ y₀ dω = 2 √π.
+    let y0 = 2.0 * std::f64::consts::PI.sqrt();
+    assert!((sh.0[0] - DVec3::new(y0, 2.0 * y0, 0.0)).length() < 1e-14);
+    assert!(sh.0[1..].iter().all(|c| c.length() < 1e-14));
+}
+
+#[test]
+fn an_image_is_a_path() {
+    let (from, to) = (PLUME.find("{ \"kind\"").unwrap(), PLUME.find("\n    \"eye\"").unwrap());
+    let (scene, _) = changed(&PLUME[from..to], r#"{ "kind": "equirect", "path": "sky.hdr" },"#).unwrap();
+    assert_eq!(scene.environment, Environment::Equirect("scenes/sky.hdr".into()));
+    assert!(scene.environment.coefficients().is_none());
+}
+
+#[test]
+fn warnings() {
+    let extra = "\"g\": -0.5, \"lights\": [], \"plane\": {}, \"spheres\": [], \"fog\": 1, ";
+    let (_, warnings) = changed("\"g\": -0.5,", extra).unwrap();
+    assert_eq!(
+        warnings,
+        [
+            "fog: unknown key, ignored",
+            "lights: not supported yet, ignored",
+            "plane: not supported yet, ignored",
+            "spheres: not supported yet, ignored"
+        ]
+    );
+    let (_, warnings) = changed("\"rgb\": [3, 2, 1]", "\"rgb\": [3, 2, 1], \"radius\": 2").unwrap();
+    assert_eq!(warnings, ["env.lobes[0].radius: unknown key, ignored"]);
+}
+
+#[test]
+fn errors_name_the_key() {
+    for (from, to, expected) in [
+        ("2.49", "-1", "sigma_t: -1 is negative"),
+        ("2.49", "\"much\"", "sigma_t: \"much\" is not a number"),
+        ("2.49", "NaN", "line"),
+        ("\"sigma_t\": 2.49,", "", "missing key sigma_t"),
+        ("0.7, 1]", "0.7, 1.01]", "albedo: 1.01 is not between 0 and 1"),
+        ("0.7, 1]", "0.7]", "albedo: [0.66,0.7] is not a list of three numbers"),
+        ("-0.5", "1", "g: 1 is not between -1 and 1"),
+        ("-0.5", "1e999", "line"),
+        ("28", "180", "fov_y_deg: 180"),
+        ("28", "0", "fov_y_deg: 0"),
+        ("[72, 120]", "[0, 120]", "size: 0"),
+        ("[72, 120]", "[72.5, 120]", "size: 72.5"),
+        ("[72, 120]", "120", "size: 120 is not [width, height]"),
+        ("[0, 0, 6]", "[0, 0, 0]", "target: the same point as eye"),
+        ("[0, 0, 6]", "[0, 5, 0]", "target: straight above"),
+        ("\"file\"", "\"here\"", "placement: \"here\""),
+        ("3.0", "0", "width_m: 0 is not above 0"),
+        ("\"kind\": \"lobes\"", "\"kind\": \"lamps\"", "env.kind: \"lamps\""),
+        ("[0, 0, 2]", "[0, 0, 0]", "env.lobes[0].dir: not a direction"),
+        ("[3, 2, 1]", "[3, -2, 1]", "env.lobes[0].rgb: -2 is negative"),
+        ("\"ambient\": [0.1, 0.2, 0.3],", "", "missing key env.ambient"),
+        ("[ {", "[ 5, {", "env.lobes[0]: not an object"),
+    ] {
+        let message = fault(from, to);
+        assert!(message.contains(expected), "{to}: {message}");
+        assert!(!message.contains('\n'), "{message}");
+    }
+    let (scene, _) = changed("\"file\"", "\"width\"").unwrap();
+    assert_eq!(scene.placement, ScenePlacement::Width(3.0));
+    let no_width = PLUME.replace("\"width_m\": 3.0,", "").replace("\"file\"", "\"width\"");
+    assert!(
+        parse(&no_width)
+            .unwrap_err()
+            .to_string()
+            .contains("missing key width_m")
+    );
+}

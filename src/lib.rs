@@ -1,0 +1,89 @@
+//! Smoke that a Bevy game can afford, lit as a path tracer would light it.
+//!
+//! An artist's density animation is baked once into a small bundle: radial basis functions for the bulk of the smoke
+//! and a hashed residual for its detail. A game adds [`SmokePlugin`], spawns a [`SmokeVolume`](volume::SmokeVolume)
+//! with the bundle's handle, and the plug-in lights it every frame by the scene's environment and composites it with
+//! the scene's meshes.
+//!
+//! ```no_run
+//! use bevy::prelude::*;
+//! use bevy_smoke::prelude::*;
+//!
+//! fn main() {
+//!     App::new()
+//!         .add_plugins((DefaultPlugins, SmokePlugin))
+//!         .add_systems(Startup, |mut commands: Commands, assets: Res<AssetServer>| {
+//!             commands.spawn((
+//!                 SmokeVolume::new(assets.load("plume.smoke")),
+//!                 SmokeMedium { sigma_t: 4.0, ..default() },
+//!                 SmokeEnvironment::constant(Vec3::ONE, 1000.0),
+//!                 Transform::from_scale(Vec3::splat(3.0)),
+//!             ));
+//!             commands.spawn((Camera3d::default(), Transform::from_xyz(0.0, 0.0, 6.0)));
+//!         })
+//!         .run();
+//! }
+//! ```
+//!
+//! The method follows Zhou et al. 2008, *Real-Time Smoke Rendering Using Compensated Ray Marching*, and departs from
+//! it where measurement showed something better: source radiance is evaluated at tetrahedral probes around every
+//! RBF's centre, not at the centre alone, and light reaches the probes along fixed directions through a coarse copy
+//! of the density. See [`render`] for the passes.
+//!
+//! # Features
+//!
+//! The default library is what a game needs at run time. `bake` adds density readers (OpenVDB, NumPy), the RBF fit
+//! and the bundle writer; `reference` adds a double-precision CPU twin of every GPU pass; `cli` adds the `smoke`
+//! command.
+
+#![warn(missing_docs)]
+
+#[cfg(feature = "bake")]
+pub mod bake;
+pub mod bundle;
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub mod cli;
+pub mod density;
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub mod headless;
+pub mod lighting;
+pub mod medium;
+pub mod optics;
+pub mod rbf;
+#[cfg(feature = "reference")]
+pub mod reference;
+pub mod render;
+pub mod residual;
+pub mod sh;
+mod shaders;
+pub mod volume;
+
+use bevy::app::{App, Plugin};
+use bevy::asset::AssetApp;
+
+/// Everything a scene with smoke needs.
+pub mod prelude {
+    pub use crate::SmokePlugin;
+    pub use crate::bundle::SmokeAnimation;
+    pub use crate::lighting::SmokeEnvironment;
+    pub use crate::medium::SmokeMedium;
+    pub use crate::volume::SmokeVolume;
+}
+
+/// Adds smoke to an app: the bundle's asset type and loader, the components, and, where there is a renderer, the
+/// passes of [`render`].
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SmokePlugin;
+
+impl Plugin for SmokePlugin {
+    fn build(&self, app: &mut App) {
+        app.init_asset::<bundle::SmokeAnimation>()
+            .init_asset_loader::<bundle::SmokeAnimationLoader>()
+            .register_type::<volume::SmokeVolume>()
+            .register_type::<medium::SmokeMedium>()
+            .register_type::<lighting::SmokeEnvironment>()
+            .add_plugins((volume::SmokeVolumePlugin, render::SmokeRenderPlugin));
+    }
+}

@@ -1,0 +1,212 @@
+//! A frame of smoke on the GPU: its RBFs, bins and hash tables, and the density textures that they are unpacked to.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use bevy::asset::AssetId;
+use bevy::ecs::system::SystemParamItem;
+use bevy::ecs::system::lifetimeless::SRes;
+use bevy::prelude::*;
+use bevy::render::render_asset::{PrepareAssetError, RenderAsset};
+use bevy::render::render_resource::{
+    Buffer, BufferInitDescriptor, BufferUsages, Extent3d, ShaderType, TextureDescriptor, TextureDimension,
+    TextureFormat, TextureUsages, TextureView, TextureViewDescriptor, UniformBuffer, encase,
+};
+use bevy::render::renderer::{RenderDevice, RenderQueue};
+
+use crate::bundle::{SmokeAnimation, SmokeFrame};
+use crate::density::GridShape;
+use crate::rbf::{Rbf, RbfBins};
+use crate::residual::HashedResidual;
+
+/// Format of [`GpuSmokeFrame::density`]: read texel by texel, at full precision.
+pub(super) const DENSITY_FORMAT: TextureFormat = TextureFormat::R32Float;
+/// Format of the textures that are sampled with filtering; the one such format every WebGPU device can also store to.
+pub(super) const FILTERED_FORMAT: TextureFormat = TextureFormat::Rgba16Float;
+
+/// An animation on the GPU.
+pub struct GpuSmokeAnimation {
+    pub(super) shape: GridShape,
+    pub(super) frames: Vec<GpuSmokeFrame>,
+}
+
+/// One frame on the GPU.
+pub(super) struct GpuSmokeFrame {
+    pub rbf_count: u32,
+    pub uniform: Buffer,
+    pub rbfs: Buffer,
+    pub bin_offsets: Buffer,
+    pub bin_indices: Buffer,
+    pub occupancy: Buffer,
+    pub hash_offsets: Buffer,
+    pub hash_table: Buffer,
+    /// Density of every cell, written by the density pass.
+    pub density: TextureView,
+    /// Coarse density, padded by an empty cell on each side, written by the coarse pass.
+    pub coarse: TextureView,
+    /// Whether `density` and `coarse` have been written.
+    unpacked: AtomicBool,
+}
+
+/// The `Frame` of `frame.wgsl`.
+#[derive(ShaderType, Clone, Debug)]
+pub(super) struct FrameUniform {
+    dims: UVec3,
+    rbf_count: u32,
+    bins: UVec3,
+    cell: f32,
+    coarse_dims: UVec3,
+    coarse_ratio: f32,
+    residual_max: f32,
+    residual_exponent: f32,
+    offset_side: u32,
+    table_len: u32,
+}
+
+/// The `Rbf` of `frame.wgsl`.
+#[derive(ShaderType, Clone, Copy, Default)]
+struct RbfEntry {
+    center: Vec3,
+    radius: f32,
+    weight: f32,
+}
+
+impl GpuSmokeFrame {
+    pub fn new(shape: GridShape, frame: &SmokeFrame, device: &RenderDevice, queue: &RenderQueue) -> Self {
+        let rbfs = &frame.rbfs.rbfs;
+        let residual = &frame.residual;
+        let bins = RbfBins::new(rbfs, shape);
+        let coarse = shape.coarse();
+        Self {
+            rbf_count: rbfs.len() as u32,
+            uniform: uniform(
+                device,
+                queue,
+                "smoke_frame",
+                frame_uniform(shape, rbfs, &bins, residual),
+            ),
+            rbfs: rbf_buffer(device, rbfs),
+            bin_offsets: storage(device, "smoke_bin_offsets", &bins.offsets),
+            bin_indices: storage(device, "smoke_bin_indices", &bins.indices),
+            occupancy: storage(device, "smoke_residual_occupancy", residual.occupancy()),
+            hash_offsets: storage(device, "smoke_residual_offsets", &residual.packed_offsets()),
+            hash_table: storage(device, "smoke_residual_table", residual.table()),
+            density: texture_3d(device, "smoke_density", shape.dims, DENSITY_FORMAT),
+            coarse: texture_3d(device, "smoke_coarse_density", coarse.dims + 2, FILTERED_FORMAT),
+            unpacked: AtomicBool::new(false),
+        }
+    }
+
+    /// True the first time it is asked: then the density passes must run.
+    pub fn take_unpacking(&self) -> bool {
+        !self.unpacked.swap(true, Ordering::Relaxed)
+    }
+}
+
+fn frame_uniform(shape: GridShape, rbfs: &[Rbf], bins: &RbfBins, residual: &HashedResidual) -> FrameUniform {
+    let longest = shape.longest() as f32;
+    FrameUniform {
+        dims: shape.dims,
+        rbf_count: rbfs.len() as u32,
+        bins: bins.dims,
+        cell: shape.cell_size(),
+        coarse_dims: shape.coarse().dims,
+        coarse_ratio: (longest / crate::density::COARSE_CELLS as f32).max(1.0),
+        residual_max: residual.law().max,
+        residual_exponent: residual.law().exponent,
+        offset_side: residual.offset_side(),
+        table_len: residual.slots(),
+    }
+}
+
+fn rbf_buffer(device: &RenderDevice, rbfs: &[Rbf]) -> Buffer {
+    let entries: Vec<RbfEntry> = rbfs
+        .iter()
+        .map(|r| RbfEntry {
+            center: r.center.into(),
+            radius: r.radius,
+            weight: r.weight,
+        })
+        .collect();
+    let mut bytes = encase::StorageBuffer::new(Vec::<u8>::new());
+    bytes.write(&entries).expect("a Vec grows as it is written to");
+    storage(device, "smoke_rbfs", &bytes.into_inner())
+}
+
+/// A read-only storage buffer; never empty, since empty buffers cannot be bound.
+fn storage<T: bytemuck::NoUninit>(device: &RenderDevice, label: &str, data: &[T]) -> Buffer {
+    let mut contents = bytemuck::cast_slice::<T, u8>(data).to_vec();
+    contents.resize(contents.len().max(32).next_multiple_of(4), 0);
+    device.create_buffer_with_data(&BufferInitDescriptor {
+        label: Some(label),
+        contents: &contents,
+        usage: BufferUsages::STORAGE,
+    })
+}
+
+/// A uniform buffer with a value that does not change.
+pub(super) fn uniform<T: ShaderType + encase::internal::WriteInto>(
+    device: &RenderDevice,
+    queue: &RenderQueue,
+    label: &'static str,
+    value: T,
+) -> Buffer {
+    let mut buffer = UniformBuffer::from(value);
+    buffer.set_label(Some(label));
+    buffer.write_buffer(device, queue);
+    buffer.buffer().expect("it has just been written").clone()
+}
+
+/// A 3D texture that a pass writes and others read.
+pub(super) fn texture_3d(device: &RenderDevice, label: &str, dims: UVec3, format: TextureFormat) -> TextureView {
+    let usage = TextureUsages::STORAGE_BINDING | TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_SRC;
+    let texture = device.create_texture(&TextureDescriptor {
+        label: Some(label),
+        size: Extent3d {
+            width: dims.x,
+            height: dims.y,
+            depth_or_array_layers: dims.z,
+        },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: TextureDimension::D3,
+        format,
+        usage,
+        view_formats: &[],
+    });
+    texture.create_view(&TextureViewDescriptor::default())
+}
+
+impl RenderAsset for GpuSmokeAnimation {
+    type SourceAsset = SmokeAnimation;
+    type Param = (SRes<RenderDevice>, SRes<RenderQueue>);
+
+    fn prepare_asset(
+        animation: SmokeAnimation,
+        id: AssetId<SmokeAnimation>,
+        (device, queue): &mut SystemParamItem<Self::Param>,
+        _previous: Option<&Self>,
+    ) -> Result<Self, PrepareAssetError<SmokeAnimation>> {
+        // Textures must leave room for the padding; a device may allow as little as 256 a side.
+        let limit = device.limits().max_texture_dimension_3d;
+        if animation.shape.longest() + 2 > limit {
+            error!(
+                "smoke {id} has {} cells, but this adapter's 3D textures end at {limit} a side (two are padding): it \
+                 is not drawn; bake it from a smaller grid",
+                animation.shape.dims
+            );
+            return Ok(Self {
+                shape: animation.shape,
+                frames: Vec::new(),
+            });
+        }
+        let frames = animation
+            .frames
+            .iter()
+            .map(|frame| GpuSmokeFrame::new(animation.shape, frame, device, queue))
+            .collect();
+        Ok(Self {
+            shape: animation.shape,
+            frames,
+        })
+    }
+}

@@ -1,0 +1,180 @@
+//! The renderer: which passes there are, what each reads and writes, and when it runs.
+//!
+//! | pass | reads | writes | once per |
+//! |---|---|---|---|
+//! | `environment` | a radiance image | 16 SH coefficients | environment |
+//! | `density` | RBFs, bins, hashed residual | density of every cell | frame of smoke |
+//! | `coarse` | density | density of a 32³ grid | frame of smoke |
+//! | `source_radiance` | coefficients, RBFs, coarse density | SH source radiance at 4 probes an RBF | volume and environment |
+//! | `outgoing` | probes | mean and gradient of the radiance toward the eye, an RBF | the same, × view if g ≠ 0 |
+//! | `volume` | those, RBFs, bins, density | 3D texture of source radiance and density | the same |
+//! | `view` | the 3D texture, the view's depth | the view's colours | view |
+//!
+//! All but the last are compute passes in Bevy's `RenderGraph` schedule, before the cameras' own, and run only when
+//! something they read has changed: a static scene dispatches none of them. The view pass runs in `Core3d` after the opaque
+//! pass and before the transparent one. Each is a GPU span of its own; games can order against [`SmokeSystems`].
+//!
+//! Radiance is linear in the light, so everything before the view pass works on the environment's own values; intensity
+//! and the camera's exposure are applied as the view is drawn, and change at no cost.
+
+mod coarse;
+mod density;
+mod environment;
+mod extract;
+mod frame;
+mod outgoing;
+mod pass;
+mod prepare;
+mod source_radiance;
+mod stats;
+#[cfg(all(test, feature = "cli"))]
+mod tests;
+mod view;
+mod volume;
+
+use bevy::core_pipeline::core_3d::{main_opaque_pass_3d, main_transparent_pass_3d, prepare_core_3d_depth_textures};
+use bevy::core_pipeline::schedule::{Core3d, Core3dSystems, camera_driver};
+use bevy::prelude::*;
+use bevy::render::render_asset::RenderAssetPlugin;
+use bevy::render::render_resource::{PipelineCache, SpecializedRenderPipelines};
+use bevy::render::renderer::{RenderGraph, RenderGraphSystems};
+use bevy::render::sync_world::SyncToRenderWorld;
+use bevy::render::{ExtractSchedule, GpuResourceAppExt, Render, RenderApp, RenderStartup, RenderSystems};
+
+use self::environment::{EnvironmentJob, EnvironmentPass};
+pub use self::frame::GpuSmokeAnimation;
+use self::pass::{ComputePass, Job};
+pub use self::stats::SmokeRenderStats;
+use crate::shaders::{self, Shaders};
+use crate::volume::SmokeVolume;
+
+/// Where smoke runs in Bevy's render schedules.
+#[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum SmokeSystems {
+    /// In `Render`, inside `RenderSystems::PrepareBindGroups`: lists the work of the frame.
+    Prepare,
+    /// In `RenderGraph`, before the cameras: unpacks density and lights the smoke.
+    Light,
+    /// In `Core3d`, between the opaque and the transparent pass: draws the view's smoke.
+    Draw,
+}
+
+/// Draws smoke, where the app has a renderer; part of [`SmokePlugin`](crate::SmokePlugin).
+pub(crate) struct SmokeRenderPlugin;
+
+impl Plugin for SmokeRenderPlugin {
+    fn build(&self, app: &mut App) {
+        if app.get_sub_app(RenderApp).is_none() {
+            return;
+        }
+        shaders::embed(app);
+        let stats = SmokeRenderStats::default();
+        app.add_plugins(RenderAssetPlugin::<GpuSmokeAnimation>::default())
+            .insert_resource(stats.clone())
+            .register_required_components::<SmokeVolume, SyncToRenderWorld>();
+
+        let render_app = app.sub_app_mut(RenderApp);
+        render_app
+            .insert_resource(stats)
+            .init_resource::<extract::ExtractedSmoke>()
+            .init_resource::<SmokeWork>()
+            .init_gpu_resource::<prepare::SmokeCache>()
+            .init_gpu_resource::<SpecializedRenderPipelines<view::ViewPass>>()
+            .add_systems(RenderStartup, init_passes)
+            .add_systems(ExtractSchedule, extract::extract_smoke)
+            .add_systems(
+                Render,
+                (
+                    view::prepare_depth_usages
+                        .in_set(RenderSystems::PrepareResources)
+                        .before(prepare_core_3d_depth_textures),
+                    view::prepare_view_pipelines.in_set(RenderSystems::PrepareResources),
+                    prepare::prepare_smoke
+                        .in_set(RenderSystems::PrepareBindGroups)
+                        .in_set(SmokeSystems::Prepare),
+                ),
+            )
+            .add_systems(
+                RenderGraph,
+                (
+                    environment::environment,
+                    density::density,
+                    coarse::coarse,
+                    source_radiance::source_radiance,
+                    outgoing::outgoing,
+                    volume::volume,
+                )
+                    .chain()
+                    .in_set(RenderGraphSystems::Render)
+                    .in_set(SmokeSystems::Light)
+                    .before(camera_driver),
+            )
+            .add_systems(
+                Core3d,
+                view::view
+                    .after(main_opaque_pass_3d)
+                    .before(main_transparent_pass_3d)
+                    .in_set(Core3dSystems::MainPass)
+                    .in_set(SmokeSystems::Draw),
+            );
+    }
+}
+
+/// The compute passes.
+#[derive(Resource)]
+pub(crate) struct SmokePasses {
+    environment: EnvironmentPass,
+    density: ComputePass,
+    coarse: ComputePass,
+    source_radiance: ComputePass,
+    outgoing: ComputePass,
+    volume: ComputePass,
+}
+
+impl SmokePasses {
+    fn all(&self) -> impl Iterator<Item = &ComputePass> {
+        let others = [
+            &self.density,
+            &self.coarse,
+            &self.source_radiance,
+            &self.outgoing,
+            &self.volume,
+        ];
+        self.environment.passes().into_iter().chain(others)
+    }
+
+    /// Whether every pipeline is there.
+    fn are_ready(&self, cache: &PipelineCache) -> bool {
+        self.all().all(|pass| pass.is_ready(cache))
+    }
+}
+
+fn init_passes(mut commands: Commands, cache: Res<PipelineCache>, assets: Res<AssetServer>) {
+    let shaders = Shaders::load(&assets);
+    commands.insert_resource(SmokePasses {
+        environment: EnvironmentPass::new(&shaders.environment, &cache),
+        density: density::pass(&shaders.density, &cache),
+        coarse: coarse::pass(&shaders.coarse, &cache),
+        source_radiance: source_radiance::pass(&shaders.source_radiance, &cache),
+        outgoing: outgoing::pass(&shaders.outgoing, &cache),
+        volume: volume::pass(&shaders.volume, &cache),
+    });
+    commands.insert_resource(view::ViewPass::new(&shaders.view));
+}
+
+/// The dispatches of this frame.
+#[derive(Resource, Default)]
+pub(crate) struct SmokeWork {
+    environment: Vec<EnvironmentJob>,
+    density: Vec<Job>,
+    coarse: Vec<Job>,
+    source_radiance: Vec<Job>,
+    outgoing: Vec<Job>,
+    volume: Vec<Job>,
+}
+
+impl SmokeWork {
+    fn clear(&mut self) {
+        *self = Self::default();
+    }
+}

@@ -1,0 +1,273 @@
+//! Every GPU pass alone, on inputs of its own, against its f64 twin in [`crate::reference`].
+//!
+//! Tolerances are relative L2 over the pass's whole output. Buffers are f32: 2⁻²⁴ a rounding, and the adapter's `exp`,
+//! `sin` and `pow` add a few units in the last place, so 1e-5 would hold; textures that are filtered are f16, which
+//! alone costs 2⁻¹²/√3 to 2⁻¹¹/√3 (1.4e-4 to 2.8e-4). The common bound of 1e-3 leaves a factor 3 above that for
+//! adapters whose trilinear weights have 8 bits; passes that touch no f16 are held to 2e-5.
+
+mod coarse;
+mod density;
+mod environment;
+mod outgoing;
+mod pipelines;
+mod source_radiance;
+mod view;
+mod volume;
+
+use bevy::math::{DVec3, UVec2, UVec3, Vec3};
+use bevy::render::RenderApp;
+use bevy::render::render_resource::{
+    Buffer, BufferInitDescriptor, BufferUsages, CommandEncoderDescriptor, ComputePassDescriptor, Extent3d,
+    PipelineCache, Texture, TextureDescriptor, TextureDimension, TextureFormat, TextureUsages, TextureView,
+    TextureViewDescriptor,
+};
+use bevy::render::renderer::{RenderDevice, RenderQueue};
+use half::f16;
+
+use super::SmokePasses;
+use super::frame::GpuSmokeFrame;
+use super::pass::{ComputePass, Job};
+use crate::bundle::SmokeFrame;
+use crate::density::GridShape;
+use crate::headless::{Headless, read_buffer, read_texture};
+use crate::rbf::{Rbf, RbfModel};
+use crate::reference::Grid;
+use crate::residual::{HashedResidual, QuantizationLaw};
+
+/// Bound for passes that read and write f32 only.
+const EXACT: f64 = 2e-5;
+/// Bound for passes that read or write f16 textures.
+const HALF: f64 = 1e-3;
+
+/// A device with the smoke pipelines on it.
+struct Gpu {
+    headless: Headless,
+}
+
+impl Gpu {
+    fn new() -> Self {
+        let mut headless = Headless::new(UVec2::splat(8), TextureFormat::Rgba16Float).unwrap();
+        // Pipelines are compiled where they are queued; the shader assets arrive within a few updates.
+        for _ in 0..100 {
+            headless.app.update();
+            let gpu = Self { headless };
+            if gpu.passes().are_ready(gpu.cache()) {
+                return gpu;
+            }
+            headless = gpu.headless;
+        }
+        let gpu = Self { headless };
+        let failures: Vec<String> = gpu
+            .passes()
+            .all()
+            .filter_map(|pass| pass.failure(gpu.cache()))
+            .collect();
+        panic!("pipelines are not ready: {failures:?}");
+    }
+
+    fn world(&self) -> &bevy::prelude::World {
+        self.headless.app.sub_app(RenderApp).world()
+    }
+
+    fn device(&self) -> &RenderDevice {
+        self.world().resource()
+    }
+
+    fn queue(&self) -> &RenderQueue {
+        self.world().resource()
+    }
+
+    fn cache(&self) -> &PipelineCache {
+        self.world().resource()
+    }
+
+    fn passes(&self) -> &SmokePasses {
+        self.world().resource()
+    }
+
+    fn run(&self, pass: &ComputePass, job: Job) {
+        self.run_all(&[(pass, job)]);
+    }
+
+    fn run_all(&self, jobs: &[(&ComputePass, Job)]) {
+        let mut encoder = self
+            .device()
+            .create_command_encoder(&CommandEncoderDescriptor::default());
+        for (pass, job) in jobs {
+            let mut compute = encoder.begin_compute_pass(&ComputePassDescriptor::default());
+            assert!(pass.record(&mut compute, std::slice::from_ref(job), self.cache()));
+        }
+        self.queue().submit([encoder.finish()]);
+    }
+
+    /// A storage buffer with values in it.
+    fn buffer<T: bytemuck::NoUninit>(&self, values: &[T]) -> Buffer {
+        self.device().create_buffer_with_data(&BufferInitDescriptor {
+            label: None,
+            contents: bytemuck::cast_slice(values),
+            usage: BufferUsages::STORAGE | BufferUsages::COPY_SRC,
+        })
+    }
+
+    fn read_floats(&self, buffer: &Buffer) -> Vec<f32> {
+        let bytes = read_buffer(self.device(), self.queue(), buffer);
+        bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+    }
+
+    /// The texels of a texture of one 32-bit or four 16-bit floats.
+    fn read_texels(&self, view: &TextureView) -> Vec<f32> {
+        let texture = view.texture();
+        let bytes = read_texture(self.device(), self.queue(), texture);
+        match texture.format() {
+            TextureFormat::R32Float => bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
+            _ => bytes
+                .as_chunks()
+                .0
+                .iter()
+                .map(|b| f16::from_le_bytes(*b).to_f32())
+                .collect(),
+        }
+    }
+
+    /// A 3D texture filled from `value(texel)`: its first channel, or all four.
+    fn texture_3d(&self, dims: UVec3, format: TextureFormat, value: impl Fn(UVec3) -> f32) -> TextureView {
+        let shape = GridShape::new(dims);
+        let texels = (0..shape.len()).map(|i| value(shape.cell(i)));
+        let data: Vec<u8> = match format {
+            TextureFormat::R32Float => texels.flat_map(f32::to_le_bytes).collect(),
+            _ => texels
+                .flat_map(|v| [v, 0.0, 0.0, 0.0])
+                .flat_map(|v| f16::from_f32(v).to_le_bytes())
+                .collect(),
+        };
+        self.texture(dims, TextureDimension::D3, format, &data)
+            .create_view(&TextureViewDescriptor::default())
+    }
+
+    fn texture(&self, dims: UVec3, dimension: TextureDimension, format: TextureFormat, data: &[u8]) -> Texture {
+        self.device().create_texture_with_data(
+            self.queue(),
+            &TextureDescriptor {
+                label: None,
+                size: Extent3d {
+                    width: dims.x,
+                    height: dims.y,
+                    depth_or_array_layers: dims.z,
+                },
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension,
+                format,
+                usage: TextureUsages::TEXTURE_BINDING,
+                view_formats: &[],
+            },
+            wgpu::util::TextureDataOrder::LayerMajor,
+            data,
+        )
+    }
+
+    fn frame(&self, frame: &SmokeFrame) -> GpuSmokeFrame {
+        GpuSmokeFrame::new(frame.residual.shape(), frame, self.device(), self.queue())
+    }
+}
+
+/// A small pseudo-random sequence in 0..1, the same on every machine.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> f64 {
+        // Knuth's MMIX generator.
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 40) as f64 / (1u64 << 24) as f64
+    }
+
+    fn vector(&mut self) -> DVec3 {
+        DVec3::new(self.next(), self.next(), self.next())
+    }
+}
+
+/// An odd-shaped frame: not a multiple of any workgroup or bin, RBFs of every size, some outside every other's reach,
+/// and a residual of both signs in scattered cells.
+fn fixture() -> SmokeFrame {
+    let shape = GridShape::new(UVec3::new(37, 51, 29));
+    let mut random = Random(7);
+    let half_extent = shape.half_extent().as_dvec3();
+    let rbfs = (0..40)
+        .map(|_| Rbf {
+            center: ((2.0 * random.vector() - 1.0) * 0.8 * half_extent).as_vec3().to_array(),
+            radius: (0.015 + 0.075 * random.next()) as f32,
+            weight: (0.05 + random.next()) as f32,
+        })
+        .collect();
+    let law = QuantizationLaw {
+        max: 0.7,
+        exponent: 1.5,
+    };
+    let quantized: Vec<i8> = (0..shape.len())
+        .map(|_| {
+            if random.next() < 0.3 {
+                (random.next() * 254.0 - 127.0) as i8
+            } else {
+                0
+            }
+        })
+        .collect();
+    let residual = HashedResidual::build(shape, &quantized, law).unwrap();
+    SmokeFrame {
+        rbfs: RbfModel { rbfs },
+        residual,
+    }
+}
+
+fn rbfs(frame: &SmokeFrame) -> &[Rbf] {
+    &frame.rbfs.rbfs
+}
+
+/// The twin's density of a frame.
+fn twin_density(frame: &SmokeFrame) -> Grid {
+    let residual = |cell| f64::from(frame.residual.get(cell));
+    crate::reference::density::density(rbfs(frame), residual, frame.residual.shape())
+}
+
+/// Relative L2 distance.
+fn distance(found: impl IntoIterator<Item = f64>, expected: impl IntoIterator<Item = f64>) -> f64 {
+    let (mut difference, mut norm, mut count) = (0.0, 0.0, 0);
+    let mut found = found.into_iter();
+    for e in expected {
+        let f = found.next().expect("as many values as expected");
+        difference += (f - e).powi(2);
+        norm += e.powi(2);
+        count += 1;
+    }
+    assert!(
+        found.next().is_none() && count > 0 && norm > 0.0,
+        "the outputs have different sizes, or nothing in them"
+    );
+    (difference / norm).sqrt()
+}
+
+#[track_caller]
+fn assert_close(
+    what: &str,
+    tolerance: f64,
+    found: impl IntoIterator<Item = f64>,
+    expected: impl IntoIterator<Item = f64>,
+) {
+    let distance = distance(found, expected);
+    println!("{what}: relative L2 {distance:.2e} (bound {tolerance:.0e})");
+    assert!(
+        distance <= tolerance,
+        "{what}: relative L2 {distance:.3e} is above {tolerance:.0e}"
+    );
+}
+
+fn widen(values: &[f32]) -> impl Iterator<Item = f64> + '_ {
+    values.iter().map(|&v| f64::from(v))
+}
+
+fn rgb(v: DVec3) -> [f64; 3] {
+    v.to_array()
+}

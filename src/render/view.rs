@@ -1,0 +1,328 @@
+//! View pass: marches each view's rays through its volumes, far to near, and composites them over the opaque scene.
+
+use bevy::core_pipeline::tonemapping::{
+    Tonemapping, TonemappingLuts, get_lut_bind_group_layout_entries, get_lut_bindings,
+};
+use bevy::prelude::*;
+use bevy::render::camera::ExtractedCamera;
+use bevy::render::diagnostic::RecordDiagnostics;
+use bevy::render::render_asset::RenderAssets;
+use bevy::render::render_resource::binding_types::{
+    sampler, texture_3d, texture_depth_2d, texture_depth_2d_multisampled, uniform_buffer,
+};
+use bevy::render::render_resource::{
+    BindGroup, BindGroupEntry, BindGroupLayoutDescriptor, BindGroupLayoutEntries, BindingResource, BlendComponent,
+    BlendState, CachedRenderPipelineId, ColorTargetState, ColorWrites, FragmentState, LoadOp, MultisampleState,
+    Operations, PipelineCache, PrimitiveState, PrimitiveTopology, RenderPassColorAttachment, RenderPassDescriptor,
+    RenderPipelineDescriptor, Sampler, SamplerBindingType, ShaderStages, ShaderType, SpecializedRenderPipeline,
+    SpecializedRenderPipelines, StoreOp, TextureFormat, TextureSampleType, TextureUsages, TextureView, VertexState,
+};
+use bevy::render::renderer::{RenderContext, RenderDevice, RenderQueue, ViewQuery};
+use bevy::render::texture::{FallbackImage, GpuImage};
+use bevy::render::view::{
+    ExtractedView, Msaa, ViewDepthTexture, ViewTarget, ViewUniform, ViewUniformOffset, ViewUniforms,
+};
+use bevy::shader::{Shader, ShaderDefVal};
+
+use super::SmokeRenderStats;
+use super::extract::ExtractedSmoke;
+use super::frame::uniform;
+
+/// Name of the pass and its GPU span.
+pub const LABEL: &str = "smoke_view";
+
+/// The `Smoke` of `view.wgsl`.
+#[derive(ShaderType, Clone, Debug)]
+pub(super) struct SmokeUniform {
+    pub bundle_from_clip: Mat4,
+    pub eye: Vec4,
+    pub rectangle: Vec4,
+    pub half_extent: Vec3,
+    pub cell: f32,
+    pub sigma: f32,
+    pub radiance_scale: f32,
+}
+
+/// The volumes that a view draws, far to near.
+#[derive(Component)]
+pub(super) struct ViewSmoke(pub Vec<ViewSmokeVolume>);
+
+/// A volume that a view draws.
+pub(super) struct ViewSmokeVolume {
+    pub distance: f32,
+    bind_group: BindGroup,
+}
+
+/// The pass's layouts and shader.
+#[derive(Resource, Clone)]
+pub(crate) struct ViewPass {
+    volume_layout: BindGroupLayoutDescriptor,
+    shader: Handle<Shader>,
+}
+
+impl ViewPass {
+    pub fn new(shader: &Handle<Shader>) -> Self {
+        let entries = BindGroupLayoutEntries::sequential(
+            ShaderStages::VERTEX_FRAGMENT,
+            (
+                uniform_buffer::<SmokeUniform>(false),
+                texture_3d(TextureSampleType::Float { filterable: true }),
+                sampler(SamplerBindingType::Filtering),
+            ),
+        );
+        Self {
+            volume_layout: BindGroupLayoutDescriptor::new("smoke_view_volume", &entries),
+            shader: shader.clone(),
+        }
+    }
+}
+
+impl ViewSmokeVolume {
+    pub fn new(
+        smoke: SmokeUniform,
+        volume: &TextureView,
+        distance: f32,
+        pass: &ViewPass,
+        sampler: &Sampler,
+        (device, queue, cache): (&RenderDevice, &RenderQueue, &PipelineCache),
+    ) -> Self {
+        let uniform = uniform(device, queue, "smoke_view_volume", smoke);
+        let resources = [
+            uniform.as_entire_binding(),
+            BindingResource::TextureView(volume),
+            BindingResource::Sampler(sampler),
+        ];
+        let entries: Vec<BindGroupEntry> = (0..)
+            .zip(resources)
+            .map(|(binding, resource)| BindGroupEntry { binding, resource })
+            .collect();
+        let layout = cache.get_bind_group_layout(&pass.volume_layout);
+        Self {
+            distance,
+            bind_group: device.create_bind_group("smoke_view_volume", &layout, &entries),
+        }
+    }
+}
+
+/// What tells one view's pipeline from another's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct ViewPassKey {
+    target_format: TextureFormat,
+    samples: u32,
+    /// The tone mapping to apply in the shader: that of a view whose target holds display colours.
+    tonemapping: Option<Tonemapping>,
+}
+
+impl ViewPassKey {
+    /// Layout of the group that the view binds: its uniform, its depth and, where the shader tone-maps, a table.
+    fn view_layout(&self) -> BindGroupLayoutDescriptor {
+        let depth = if self.samples > 1 {
+            texture_depth_2d_multisampled()
+        } else {
+            texture_depth_2d()
+        };
+        let mut entries = BindGroupLayoutEntries::sequential(
+            ShaderStages::VERTEX_FRAGMENT,
+            (uniform_buffer::<ViewUniform>(true), depth),
+        )
+        .to_vec();
+        if self.tonemapping.is_some() {
+            let luts = get_lut_bind_group_layout_entries();
+            let luts = (2..)
+                .zip(luts)
+                .map(|(binding, entry)| entry.build(binding, ShaderStages::FRAGMENT));
+            entries.extend(luts);
+        }
+        BindGroupLayoutDescriptor::new("smoke_view", &entries)
+    }
+
+    fn shader_defs(&self) -> Vec<ShaderDefVal> {
+        let mut defs = Vec::new();
+        if self.samples > 1 {
+            defs.push("MULTISAMPLED".into());
+        }
+        if let Some(tonemapping) = self.tonemapping {
+            defs.push("TONEMAP_IN_SHADER".into());
+            defs.push(ShaderDefVal::UInt("TONEMAPPING_LUT_TEXTURE_BINDING_INDEX".into(), 2));
+            defs.push(ShaderDefVal::UInt("TONEMAPPING_LUT_SAMPLER_BINDING_INDEX".into(), 3));
+            let method = match tonemapping {
+                Tonemapping::None => "TONEMAP_METHOD_NONE",
+                Tonemapping::Reinhard => "TONEMAP_METHOD_REINHARD",
+                Tonemapping::ReinhardLuminance => "TONEMAP_METHOD_REINHARD_LUMINANCE",
+                Tonemapping::AcesFitted => "TONEMAP_METHOD_ACES_FITTED",
+                Tonemapping::AgX => "TONEMAP_METHOD_AGX",
+                Tonemapping::SomewhatBoringDisplayTransform => "TONEMAP_METHOD_SOMEWHAT_BORING_DISPLAY_TRANSFORM",
+                Tonemapping::TonyMcMapface => "TONEMAP_METHOD_TONY_MC_MAPFACE",
+                Tonemapping::BlenderFilmic => "TONEMAP_METHOD_BLENDER_FILMIC",
+                Tonemapping::KhronosPbrNeutral => "TONEMAP_METHOD_PBR_NEUTRAL",
+            };
+            defs.push(method.into());
+        }
+        defs
+    }
+}
+
+impl SpecializedRenderPipeline for ViewPass {
+    type Key = ViewPassKey;
+
+    fn specialize(&self, key: ViewPassKey) -> RenderPipelineDescriptor {
+        // Premultiplied: what is behind keeps the transmittance, 1 - alpha.
+        let over = BlendComponent::OVER;
+        RenderPipelineDescriptor {
+            label: Some(LABEL.into()),
+            layout: vec![key.view_layout(), self.volume_layout.clone()],
+            vertex: VertexState {
+                shader: self.shader.clone(),
+                shader_defs: key.shader_defs(),
+                entry_point: Some("vertex".into()),
+                ..default()
+            },
+            primitive: PrimitiveState {
+                topology: PrimitiveTopology::TriangleStrip,
+                ..default()
+            },
+            multisample: MultisampleState {
+                count: key.samples,
+                ..default()
+            },
+            fragment: Some(FragmentState {
+                shader: self.shader.clone(),
+                shader_defs: key.shader_defs(),
+                entry_point: Some("fragment".into()),
+                targets: vec![Some(ColorTargetState {
+                    format: key.target_format,
+                    blend: Some(BlendState {
+                        color: over,
+                        alpha: over,
+                    }),
+                    write_mask: ColorWrites::ALL,
+                })],
+            }),
+            ..default()
+        }
+    }
+}
+
+/// A view's pipeline.
+#[derive(Component)]
+pub(super) struct ViewSmokePipeline {
+    id: CachedRenderPipelineId,
+    layout: BindGroupLayoutDescriptor,
+}
+
+/// Picks the pipeline of every view that may draw smoke.
+pub(super) fn prepare_view_pipelines(
+    mut commands: Commands,
+    cache: Res<PipelineCache>,
+    mut pipelines: ResMut<SpecializedRenderPipelines<ViewPass>>,
+    pass: Res<ViewPass>,
+    smoke: Res<ExtractedSmoke>,
+    views: Query<(Entity, &ExtractedView, &ExtractedCamera, &Msaa, Option<&Tonemapping>), With<Camera3d>>,
+) {
+    for (entity, view, camera, msaa, tonemapping) in &views {
+        if smoke.volumes.is_empty() {
+            commands.entity(entity).remove::<(ViewSmokePipeline, ViewSmoke)>();
+            continue;
+        }
+        let tonemapping = tonemapping.copied().filter(|_| !camera.hdr);
+        let key = ViewPassKey {
+            target_format: view.target_format,
+            samples: msaa.samples(),
+            tonemapping,
+        };
+        let id = pipelines.specialize(&cache, &pass, key);
+        commands.entity(entity).insert(ViewSmokePipeline {
+            id,
+            layout: key.view_layout(),
+        });
+    }
+}
+
+/// Lets the pass read the views' depth.
+pub(super) fn prepare_depth_usages(mut cameras: Query<&mut Camera3d>, smoke: Res<ExtractedSmoke>) {
+    if smoke.volumes.is_empty() {
+        return;
+    }
+    for mut camera in &mut cameras {
+        camera.depth_texture_usages.0 |= TextureUsages::TEXTURE_BINDING.bits();
+    }
+}
+
+/// The tables that tone mapping in the shader reads.
+#[derive(bevy::ecs::system::SystemParam)]
+pub(super) struct ToneMappingTables<'w> {
+    images: Res<'w, RenderAssets<GpuImage>>,
+    luts: Res<'w, TonemappingLuts>,
+    fallback: Res<'w, FallbackImage>,
+}
+
+/// Draws the view's volumes.
+#[expect(clippy::too_many_arguments, reason = "a system")]
+pub(super) fn view(
+    view: ViewQuery<(
+        &ViewTarget,
+        &ViewDepthTexture,
+        &ViewUniformOffset,
+        &ExtractedCamera,
+        &ViewSmoke,
+        &ViewSmokePipeline,
+        &Msaa,
+        Option<&Tonemapping>,
+    )>,
+    view_uniforms: Res<ViewUniforms>,
+    cache: Res<PipelineCache>,
+    tables: ToneMappingTables,
+    stats: Res<SmokeRenderStats>,
+    mut ctx: RenderContext,
+) {
+    let (target, depth, offset, camera, smoke, pipeline, msaa, tonemapping) = view.into_inner();
+    let (Some(render_pipeline), Some(view_uniforms)) =
+        (cache.get_render_pipeline(pipeline.id), view_uniforms.uniforms.binding())
+    else {
+        return;
+    };
+    if smoke.0.is_empty() {
+        return;
+    }
+    let mut resources = vec![view_uniforms, BindingResource::TextureView(depth.view())];
+    if let Some(tonemapping) = tonemapping.filter(|_| !camera.hdr) {
+        let (lut, sampler) = get_lut_bindings(&tables.images, &tables.luts, tonemapping, &tables.fallback);
+        resources.extend([BindingResource::TextureView(lut), BindingResource::Sampler(sampler)]);
+    }
+    let entries: Vec<BindGroupEntry> = (0..)
+        .zip(resources)
+        .map(|(binding, resource)| BindGroupEntry { binding, resource })
+        .collect();
+    let layout = cache.get_bind_group_layout(&pipeline.layout);
+    let view_bind_group = ctx.render_device().create_bind_group(LABEL, &layout, &entries);
+
+    let recorder = ctx.diagnostic_recorder();
+    let recorder = recorder.as_deref();
+    let attachment = target.get_color_attachment();
+    let mut pass = ctx.begin_tracked_render_pass(RenderPassDescriptor {
+        label: Some(LABEL),
+        color_attachments: &[Some(RenderPassColorAttachment {
+            ops: Operations {
+                load: LoadOp::Load,
+                store: StoreOp::Store,
+            },
+            ..attachment
+        })],
+        depth_stencil_attachment: None,
+        timestamp_writes: None,
+        occlusion_query_set: None,
+        multiview_mask: None,
+    });
+    let span = recorder.pass_span(&mut pass, LABEL);
+    if let Some(viewport) = &camera.viewport {
+        pass.set_camera_viewport(viewport);
+    }
+    pass.set_render_pipeline(render_pipeline);
+    pass.set_bind_group(0, &view_bind_group, &[offset.offset]);
+    for volume in &smoke.0 {
+        pass.set_bind_group(1, &volume.bind_group, &[]);
+        pass.draw(0..4, 0..msaa.samples());
+        stats.view.add(1);
+    }
+    span.end(&mut pass);
+}

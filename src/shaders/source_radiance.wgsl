@@ -1,0 +1,90 @@
+// Single-scattering source radiance at every RBF's tetrahedral probes: one workgroup a probe, one
+// thread a direction. Each thread takes the environment's radiance along its direction, attenuated
+// by the optical depth through the coarse density grid; the workgroup projects the result to SH and
+// scales it by albedo and the phase function's band factors:
+//     J_k = albedo g^l L_d,k,   L_d,k = (4 pi / N) sum_j L(w_j) exp(-tau_j) y_k(w_j),
+// a function of the look direction v (eye -> point).
+#import bevy_smoke::frame::{Frame, Rbf}
+#import bevy_smoke::sh::{basis, band, SH_COEFFICIENTS}
+#import bevy_smoke::lighting::{Lighting, probe_position, DIRECTIONS}
+
+const MARCH_STEPS: u32 = 20u;
+const PI: f32 = 3.14159265358979;
+const GOLDEN_ANGLE: f32 = 2.39996322972865;
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<uniform> lighting: Lighting;
+@group(0) @binding(2) var<storage, read> rbfs: array<Rbf>;
+@group(0) @binding(3) var<storage, read> environment: array<vec4<f32>>;
+@group(0) @binding(4) var coarse: texture_3d<f32>;
+@group(0) @binding(5) var coarse_sampler: sampler;
+// 16 coefficients a probe, 4 probes an RBF.
+@group(0) @binding(6) var<storage, read_write> probes: array<vec4<f32>>;
+
+// Fibonacci directions, y up.
+fn direction(j: u32) -> vec3<f32> {
+    let height = 1.0 - (2.0 * f32(j) + 1.0) / f32(DIRECTIONS);
+    let radius = sqrt(max(0.0, 1.0 - height * height));
+    let phi = f32(j) * GOLDEN_ANGLE;
+    return vec3(radius * cos(phi), height, radius * sin(phi));
+}
+
+// Integral of the coarse density from `from_point` to the exit of its grid, in bundle units.
+fn column(from_point: vec3<f32>, towards: vec3<f32>) -> f32 {
+    let coarse_cell = frame.coarse_ratio * frame.cell;
+    // Beyond half a cell outside the grid the trilinear density is zero.
+    let half_extent = 0.5 * (vec3<f32>(frame.coarse_dims) + 1.0) * coarse_cell;
+    let inverse = 1.0 / select(towards, vec3(1e-9), abs(towards) < vec3(1e-9));
+    let a = (-half_extent - from_point) * inverse;
+    let b = (half_extent - from_point) * inverse;
+    let nearer = min(a, b);
+    let farther = max(a, b);
+    let begin = max(max(nearer.x, nearer.y), max(nearer.z, 0.0));
+    let end = min(farther.x, min(farther.y, farther.z));
+    if end <= begin {
+        return 0.0;
+    }
+    let step = (end - begin) / f32(MARCH_STEPS);
+    let padded = vec3<f32>(frame.coarse_dims + 2u);
+    var sum = 0.0;
+    for (var i = 0u; i < MARCH_STEPS; i++) {
+        let x = from_point + towards * (begin + (f32(i) + 0.5) * step);
+        let uvw = x / (coarse_cell * padded) + 0.5;
+        sum += textureSampleLevel(coarse, coarse_sampler, uvw, 0.0).x;
+    }
+    return sum * step;
+}
+
+fn environment_radiance(towards: vec3<f32>) -> vec3<f32> {
+    let y = basis(lighting.environment_from_bundle * towards);
+    var radiance = vec3(0.0);
+    for (var k = 0u; k < SH_COEFFICIENTS; k++) {
+        radiance += y[k] * environment[k].rgb;
+    }
+    return radiance;
+}
+
+var<workgroup> arriving: array<vec3<f32>, DIRECTIONS>;
+var<workgroup> bases: array<array<f32, 16>, DIRECTIONS>;
+
+@compute @workgroup_size(DIRECTIONS)
+fn gather(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let rbf = rbfs[group.x];
+    let towards = direction(thread);
+    let tau = lighting.sigma * column(probe_position(rbf.center, rbf.radius, group.y), towards);
+    arriving[thread] = environment_radiance(towards) * exp(-tau);
+    bases[thread] = basis(towards);
+    workgroupBarrier();
+    if thread < SH_COEFFICIENTS {
+        var sum = vec3(0.0);
+        for (var j = 0u; j < DIRECTIONS; j++) {
+            sum += arriving[j] * bases[j][thread];
+        }
+        let weight = 4.0 * PI / f32(DIRECTIONS) * lighting.bands[band(thread)];
+        let probe = group.x * 4u + group.y;
+        probes[probe * SH_COEFFICIENTS + thread] = vec4(lighting.albedo * sum * weight, 0.0);
+    }
+}

@@ -1,0 +1,162 @@
+// Marches every pixel's ray through one volume and composites it over what is drawn so far.
+// At each step, half a voxel long, smoke of extinction sigma D emits J (1 - exp(-sigma D step)).
+//
+// With MSAA the rectangle is drawn once per sample: where all samples of a pixel see the same depth the first instance
+// shades them all and the others return at once; at the edges of meshes each sample is marched to its own depth.
+#import bevy_render::view::View
+#ifdef TONEMAP_IN_SHADER
+#import bevy_core_pipeline::tonemapping::tone_mapping
+#endif
+
+struct Smoke {
+    // From normalised device coordinates to the volume's bundle space.
+    bundle_from_clip: mat4x4<f32>,
+    // Bundle space: the eye (w = 1, perspective); w = 0 where rays are parallel (orthographic).
+    eye: vec4<f32>,
+    // Corners of the rectangle on screen, in normalised device coordinates: min.xy, max.xy.
+    rectangle: vec4<f32>,
+    half_extent: vec3<f32>,
+    // Side of a voxel in bundle space.
+    cell: f32,
+    // Extinction a bundle unit.
+    sigma: f32,
+    // From stored radiance to exposed radiance.
+    radiance_scale: f32,
+}
+
+@group(0) @binding(0) var<uniform> view: View;
+#ifdef MULTISAMPLED
+@group(0) @binding(1) var depth_texture: texture_depth_multisampled_2d;
+#else
+@group(0) @binding(1) var depth_texture: texture_depth_2d;
+#endif
+@group(1) @binding(0) var<uniform> smoke: Smoke;
+// RGB: source radiance; alpha: density; padded by one cell on each side.
+@group(1) @binding(1) var volume: texture_3d<f32>;
+@group(1) @binding(2) var volume_sampler: sampler;
+
+struct Vertex {
+    @builtin(position) position: vec4<f32>,
+    @location(0) @interpolate(flat) sample: u32,
+}
+
+@vertex
+fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) sample: u32) -> Vertex {
+    let corner = vec2(
+        select(smoke.rectangle.x, smoke.rectangle.z, (index & 1u) == 1u),
+        select(smoke.rectangle.y, smoke.rectangle.w, (index & 2u) == 2u),
+    );
+    return Vertex(vec4(corner, 0.0, 1.0), sample);
+}
+
+struct Ray {
+    origin: vec3<f32>,
+    direction: vec3<f32>,
+    // Where it enters and leaves the box; empty where leave <= enter.
+    enter: f32,
+    leave: f32,
+}
+
+fn ray_through(ndc: vec2<f32>) -> Ray {
+    let near = smoke.bundle_from_clip * vec4(ndc, 1.0, 1.0);
+    // Depth 0 is the far plane, infinitely far (w = 0) under a perspective.
+    let far = smoke.bundle_from_clip * vec4(ndc, 0.0, 1.0);
+    var ray: Ray;
+    ray.origin = select(near.xyz / near.w, smoke.eye.xyz, smoke.eye.w > 0.0);
+    ray.direction = normalize(far.xyz * near.w - near.xyz * far.w);
+    let inverse = 1.0 / select(ray.direction, vec3(1e-9), abs(ray.direction) < vec3(1e-9));
+    let a = (-smoke.half_extent - ray.origin) * inverse;
+    let b = (smoke.half_extent - ray.origin) * inverse;
+    let nearer = min(a, b);
+    let farther = max(a, b);
+    ray.enter = max(max(nearer.x, nearer.y), max(nearer.z, 0.0));
+    ray.leave = min(farther.x, min(farther.y, farther.z));
+    return ray;
+}
+
+// Distance along the ray to the mesh at a depth.
+fn distance_to(ray: Ray, ndc: vec2<f32>, depth: f32) -> f32 {
+    if depth <= 0.0 {
+        return 1e30;
+    }
+    let point = smoke.bundle_from_clip * vec4(ndc, depth, 1.0);
+    return dot(point.xyz / point.w - ray.origin, ray.direction);
+}
+
+// Radiance in RGB, transmittance in alpha.
+fn march(ray: Ray, leave: f32) -> vec4<f32> {
+    let length = leave - ray.enter;
+    let steps = u32(ceil(length / (0.5 * smoke.cell)));
+    let step = length / f32(steps);
+    // uvw of the padded texture.
+    let padded = 2.0 * smoke.half_extent + 2.0 * smoke.cell;
+    var radiance = vec3(0.0);
+    var transmittance = 1.0;
+    for (var i = 0u; i < steps; i++) {
+        let x = ray.origin + ray.direction * (ray.enter + (f32(i) + 0.5) * step);
+        let s = textureSampleLevel(volume, volume_sampler, x / padded + 0.5, 0.0);
+        if s.a > 0.0 {
+            let kept = exp(-smoke.sigma * s.a * step);
+            radiance += s.rgb * (transmittance * (1.0 - kept));
+            transmittance *= kept;
+            // What lies behind is not seen any more.
+            if transmittance < 1e-5 {
+                break;
+            }
+        }
+    }
+    return vec4(radiance, transmittance);
+}
+
+struct Fragment {
+    @location(0) color: vec4<f32>,
+#ifdef MULTISAMPLED
+    @builtin(sample_mask) mask: u32,
+#endif
+}
+
+@fragment
+fn fragment(in: Vertex) -> Fragment {
+    let at = in.position.xy;
+    let uv = (at - view.viewport.xy) / view.viewport.zw;
+    let ndc = vec2(2.0 * uv.x - 1.0, 1.0 - 2.0 * uv.y);
+    let ray = ray_through(ndc);
+    if ray.leave <= ray.enter {
+        discard;
+    }
+    var leave = ray.leave;
+#ifdef MULTISAMPLED
+    let samples = textureNumSamples(depth_texture);
+    leave = min(leave, distance_to(ray, ndc, textureLoad(depth_texture, vec2<i32>(at), i32(in.sample))));
+    var nearest = leave;
+    var farthest = leave;
+    for (var s = 0u; s < samples; s++) {
+        let other = min(ray.leave, distance_to(ray, ndc, textureLoad(depth_texture, vec2<i32>(at), i32(s))));
+        nearest = min(nearest, other);
+        farthest = max(farthest, other);
+    }
+    // One march serves all samples where their depths differ by less than it resolves.
+    let shared_by_all = max(farthest, ray.enter) - max(nearest, ray.enter) < 0.5 * smoke.cell;
+    if shared_by_all && in.sample > 0u {
+        discard;
+    }
+#else
+    leave = min(leave, distance_to(ray, ndc, textureLoad(depth_texture, vec2<i32>(at), 0)));
+#endif
+    if leave <= ray.enter {
+        discard;
+    }
+    let marched = march(ray, leave);
+    let opacity = 1.0 - marched.a;
+    var color = marched.rgb * smoke.radiance_scale;
+#ifdef TONEMAP_IN_SHADER
+    // The target holds display colours: tone-map the smoke's own colour, as for any translucent material.
+    color = opacity * tone_mapping(vec4(color / max(opacity, 1e-5), 1.0), view.color_grading).rgb;
+#endif
+    var out: Fragment;
+    out.color = vec4(color, opacity);
+#ifdef MULTISAMPLED
+    out.mask = select(1u << in.sample, 0xffffffffu, shared_by_all);
+#endif
+    return out;
+}

@@ -1,0 +1,72 @@
+// Reconstructs the source radiance at every cell, padded by one cell on each side:
+//     J(x) = max(0, sum_l phi_l (Jbar_l + G_l delta_l) / sum_l phi_l),   phi = w (exp(-u^2) + tail),
+// beside the density. The tail, a millionth at the centre, decays slowly: where no RBF reaches,
+// wisps take the source radiance of the nearest ones.
+#import bevy_smoke::frame::{Frame, Rbf, bin_index, cell_center}
+
+struct Outgoing {
+    mean: vec3<f32>,
+    dx: vec3<f32>,
+    dy: vec3<f32>,
+    dz: vec3<f32>,
+}
+
+const TAIL: f32 = 1e-6;
+// The gradient is followed no farther than this many radii.
+const REACH: f32 = 2.0;
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<storage, read> rbfs: array<Rbf>;
+@group(0) @binding(2) var<storage, read> bin_offsets: array<u32>;
+@group(0) @binding(3) var<storage, read> bin_indices: array<u32>;
+@group(0) @binding(4) var<storage, read> outgoing: array<Outgoing>;
+@group(0) @binding(5) var density: texture_3d<f32>;
+// RGB: source radiance; alpha: density.
+@group(0) @binding(6) var volume: texture_storage_3d<rgba16float, write>;
+
+// Whether a trilinear read that touches this cell can meet any density.
+fn near_density(cell: vec3<i32>) -> bool {
+    let low = max(cell - 1, vec3(0));
+    let high = min(cell + 1, vec3<i32>(frame.dims) - 1);
+    for (var z = low.z; z <= high.z; z++) {
+        for (var y = low.y; y <= high.y; y++) {
+            for (var x = low.x; x <= high.x; x++) {
+                if textureLoad(density, vec3(x, y, z), 0).x > 0.0 {
+                    return true;
+                }
+            }
+        }
+    }
+    return false;
+}
+
+@compute @workgroup_size(8, 8, 4)
+fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
+    if any(id >= frame.dims + 2u) {
+        return;
+    }
+    let cell = vec3<i32>(id) - 1;
+    if !near_density(cell) {
+        textureStore(volume, id, vec4(0.0));
+        return;
+    }
+    let x = cell_center(frame, cell);
+    let bin = bin_index(frame, cell);
+    var sum = vec3(0.0);
+    var weights = 0.0;
+    for (var i = bin_offsets[bin]; i < bin_offsets[bin + 1u]; i++) {
+        let l = bin_indices[i];
+        let rbf = rbfs[l];
+        let offset = x - rbf.center;
+        let u2 = dot(offset, offset) / (rbf.radius * rbf.radius);
+        let phi = rbf.weight * (exp(-u2) + TAIL / ((1.0 + u2) * (1.0 + u2)));
+        let delta = offset * min(1.0, REACH / sqrt(max(u2, 1e-12)));
+        let o = outgoing[l];
+        sum += phi * (o.mean + o.dx * delta.x + o.dy * delta.y + o.dz * delta.z);
+        weights += phi;
+    }
+    let radiance = max(sum / max(weights, 1e-30), vec3(0.0));
+    let inside = all(cell >= vec3(0)) && all(cell < vec3<i32>(frame.dims));
+    let d = select(0.0, textureLoad(density, max(cell, vec3(0)), 0).x, inside);
+    textureStore(volume, id, vec4(radiance, d));
+}

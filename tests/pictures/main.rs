@@ -1,0 +1,11 @@
+//! Pictures of whole scenes, drawn by the real plug-in without a window, and numbers read off them.
+//!
+//! With `SMOKE_PICTURES=DIR` set, the tests also write what they draw to DIR as PNG files: the pictures under
+//! `docs/pictures` are made so.
+
+mod cameras;
+mod compositing;
+mod environments;
+mod examples;
+mod scene;
+mod work;
