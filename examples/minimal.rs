@@ -7,20 +7,14 @@ use bevy::prelude::*;
 use bevy_smoke::prelude::*;
 
 fn main() {
-    App::new()
-        .add_plugins((DefaultPlugins, SmokePlugin))
-        .add_systems(Startup, setup)
-        .run();
+    App::new().add_plugins((DefaultPlugins, SmokePlugin)).add_systems(Startup, setup).run();
 }
 
 pub fn setup(mut commands: Commands, assets: Res<AssetServer>, mut images: ResMut<Assets<Image>>) {
     // The box is one unit tall before it is scaled: this smoke is 3 metres tall.
     commands.spawn((
         SmokeVolume::new(assets.load("plume.smoke")),
-        SmokeMedium {
-            sigma_t: 6.0,
-            ..default()
-        },
+        SmokeMedium { sigma_t: 6.0, ..default() },
         Transform::from_scale(Vec3::splat(3.0)),
     ));
 

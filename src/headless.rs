@@ -70,10 +70,7 @@ impl Headless {
         // A process has one log, however many apps.
         static LOG: Once = Once::new();
         LOG.call_once(|| {
-            app.add_plugins(LogPlugin {
-                filter: LOG_FILTER.into(),
-                ..default()
-            });
+            app.add_plugins(LogPlugin { filter: LOG_FILTER.into(), ..default() });
         });
         app.add_plugins((
             DefaultPlugins
@@ -81,17 +78,9 @@ impl Headless {
                 .disable::<LogPlugin>()
                 .disable::<WinitPlugin>()
                 .disable::<PipelinedRenderingPlugin>()
-                .set(WindowPlugin {
-                    primary_window: None,
-                    exit_condition: ExitCondition::DontExit,
-                    ..default()
-                })
+                .set(WindowPlugin { primary_window: None, exit_condition: ExitCondition::DontExit, ..default() })
                 .set(RenderPlugin {
-                    render_creation: WgpuSettings {
-                        backends: Some(backends),
-                        ..default()
-                    }
-                    .into(),
+                    render_creation: WgpuSettings { backends: Some(backends), ..default() }.into(),
                     synchronous_pipeline_compilation: true,
                     ..default()
                 }),
@@ -115,12 +104,11 @@ impl Headless {
     /// Makes every camera that the app's systems spawn draw into the image, whatever its target was.
     pub fn draw_cameras_to_image(&mut self) {
         let target = self.target();
-        self.app
-            .add_systems(First, move |mut targets: Query<&mut RenderTarget, Added<Camera>>| {
-                for mut camera_target in &mut targets {
-                    *camera_target = target.clone();
-                }
-            });
+        self.app.add_systems(First, move |mut targets: Query<&mut RenderTarget, Added<Camera>>| {
+            for mut camera_target in &mut targets {
+                *camera_target = target.clone();
+            }
+        });
     }
 
     /// Updates until smoke has been drawn, at most for ten seconds of game time.
@@ -153,18 +141,11 @@ impl Headless {
     pub fn float_pixels(&self) -> Vec<[f32; 4]> {
         let bytes = self.pixels();
         let images = self.app.world().resource::<Assets<Image>>();
-        let format = images
-            .get(&self.target)
-            .expect("it is never removed")
-            .texture_descriptor
-            .format;
+        let format = images.get(&self.target).expect("it is never removed").texture_descriptor.format;
         let floats: Vec<f32> = match format {
-            TextureFormat::Rgba16Float => bytes
-                .as_chunks()
-                .0
-                .iter()
-                .map(|b| half::f16::from_le_bytes(*b).to_f32())
-                .collect(),
+            TextureFormat::Rgba16Float => {
+                bytes.as_chunks().0.iter().map(|b| half::f16::from_le_bytes(*b).to_f32()).collect()
+            }
             _ => bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
         };
         floats.as_chunks().0.to_vec()
@@ -185,26 +166,12 @@ pub(crate) fn read_texture(device: &RenderDevice, queue: &RenderQueue, texture: 
         mapped_at_creation: false,
     });
     let mut encoder = device.create_command_encoder(&CommandEncoderDescriptor::default());
-    let layout = TexelCopyBufferLayout {
-        offset: 0,
-        bytes_per_row: Some(padded_row),
-        rows_per_image: Some(size.height),
-    };
-    encoder.copy_texture_to_buffer(
-        texture.as_image_copy(),
-        TexelCopyBufferInfo {
-            buffer: &staging,
-            layout,
-        },
-        size,
-    );
+    let layout =
+        TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(padded_row), rows_per_image: Some(size.height) };
+    encoder.copy_texture_to_buffer(texture.as_image_copy(), TexelCopyBufferInfo { buffer: &staging, layout }, size);
     queue.submit([encoder.finish()]);
     let padded = read_mapped(device, &staging);
-    padded
-        .chunks(padded_row as usize)
-        .flat_map(|chunk| &chunk[..row as usize])
-        .copied()
-        .collect()
+    padded.chunks(padded_row as usize).flat_map(|chunk| &chunk[..row as usize]).copied().collect()
 }
 
 /// The bytes of a buffer that can be copied from.
@@ -224,9 +191,7 @@ pub(crate) fn read_buffer(device: &RenderDevice, queue: &RenderQueue, buffer: &B
 
 fn read_mapped(device: &RenderDevice, staging: &Buffer) -> Vec<u8> {
     let slice = staging.slice(..);
-    slice.map_async(MapMode::Read, |result| {
-        result.expect("a buffer just made can be mapped")
-    });
+    slice.map_async(MapMode::Read, |result| result.expect("a buffer just made can be mapped"));
     device.poll(PollType::wait_indefinitely()).expect("the device answers");
     let bytes = slice.get_mapped_range().to_vec();
     staging.unmap();

@@ -44,18 +44,11 @@ impl SmokeEnvironment {
         let mut coefficients = [Vec3::ZERO; 16];
         // y_0 is the constant 1 / (2 √π); a constant L has L_0 = L · 2 √π.
         coefficients[0] = radiance * (2.0 * std::f32::consts::PI.sqrt());
-        Self::Coefficients {
-            coefficients,
-            intensity,
-        }
+        Self::Coefficients { coefficients, intensity }
     }
 
     /// A latitude-longitude image, unrotated.
     pub fn equirect(image: Handle<Image>, intensity: f32) -> Self {
-        Self::Equirect {
-            image,
-            intensity,
-            rotation: Quat::IDENTITY,
-        }
+        Self::Equirect { image, intensity, rotation: Quat::IDENTITY }
     }
 }

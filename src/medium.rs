@@ -31,11 +31,7 @@ impl SmokeMedium {
     pub fn clamped(&self) -> Self {
         let default = Self::default();
         let fix = |value: f32, low: f32, high: f32, default: f32| {
-            if value.is_nan() {
-                default
-            } else {
-                value.clamp(low, high)
-            }
+            if value.is_nan() { default } else { value.clamp(low, high) }
         };
         Self {
             sigma_t: fix(self.sigma_t, 0.0, f32::MAX, default.sigma_t),
@@ -52,11 +48,7 @@ impl SmokeMedium {
 impl Default for SmokeMedium {
     /// Light grey smoke: σ_t 4 per metre, albedo 0.8, isotropic.
     fn default() -> Self {
-        Self {
-            sigma_t: 4.0,
-            albedo: LinearRgba::rgb(0.8, 0.8, 0.8),
-            g: 0.0,
-        }
+        Self { sigma_t: 4.0, albedo: LinearRgba::rgb(0.8, 0.8, 0.8), g: 0.0 }
     }
 }
 
@@ -66,30 +58,14 @@ mod tests {
 
     #[test]
     fn clamping_mends_every_value_and_keeps_good_ones() {
-        let good = SmokeMedium {
-            sigma_t: 2.0,
-            albedo: LinearRgba::rgb(0.1, 0.5, 1.0),
-            g: -0.3,
-        };
+        let good = SmokeMedium { sigma_t: 2.0, albedo: LinearRgba::rgb(0.1, 0.5, 1.0), g: -0.3 };
         assert_eq!(good.clamped(), good);
-        let bad = SmokeMedium {
-            sigma_t: f32::NAN,
-            albedo: LinearRgba::rgb(-1.0, 2.0, f32::NAN),
-            g: 3.0,
-        };
+        let bad = SmokeMedium { sigma_t: f32::NAN, albedo: LinearRgba::rgb(-1.0, 2.0, f32::NAN), g: 3.0 };
         let mended = bad.clamped();
         assert_eq!(mended.sigma_t, SmokeMedium::default().sigma_t);
         assert_eq!(mended.albedo, LinearRgba::rgb(0.0, 1.0, 0.8));
         assert_eq!(mended.g, SmokeMedium::MAX_ASYMMETRY);
         assert_eq!(SmokeMedium { sigma_t: -1.0, ..good }.clamped().sigma_t, 0.0);
-        assert_eq!(
-            SmokeMedium {
-                sigma_t: f32::INFINITY,
-                ..good
-            }
-            .clamped()
-            .sigma_t,
-            f32::MAX
-        );
+        assert_eq!(SmokeMedium { sigma_t: f32::INFINITY, ..good }.clamped().sigma_t, f32::MAX);
     }
 }

@@ -13,12 +13,18 @@ use std::time::Instant;
 
 use crate::bundle::{self, BundleError, SmokeAnimation, SmokeFrame};
 use crate::density::DensityGrid;
+use crate::rbf::RbfModel;
 use crate::rbf::fit::{Fit, FitError, FitProgress, FitSettings, FitTarget, fit};
 use crate::residual::{HashedResidual, QuantizationLaw, ResidualError};
 
 pub use picture::{PictureError, picture_error};
 pub use report::{BakeReport, BytesReport, FitSeconds, FitSummary, ResidualReport, SourceReport, StageSeconds};
 pub use verify::{QuantizationReport, Worst};
+
+/// The exponents that a bake may choose from.
+pub const EXPONENTS: [f32; 4] = [1.0, 1.5, 2.0, 3.0];
+/// Relative error of the picture ([`picture_error`]) that quantisation may cause before a larger exponent is taken.
+pub const PICTURE_BUDGET: f64 = 0.002;
 
 /// What to bake for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,20 +36,13 @@ pub struct BakeSettings {
     /// Playback speed stored in the bundle, above 0.
     pub frames_per_second: f32,
     /// Exponent of the residual's [`QuantizationLaw`], 0.1 to 10: 1 is linear, more is finer near 0 and larger on disk.
-    ///
-    /// Linear codes drop thin smoke, which fills much of a box: with 600 Gaussians on the OpenVDB sample `smoke.vdb` they
-    /// cost 1.8 % of the picture; exponent 2 costs 0.18 % for a file twice as large, 3 costs 0.12 %.
-    pub residual_exponent: f32,
+    /// `None` takes the smallest of [`EXPONENTS`] that costs at most [`PICTURE_BUDGET`] of the picture.
+    pub residual_exponent: Option<f32>,
 }
 
 impl Default for BakeSettings {
     fn default() -> Self {
-        Self {
-            target: FitTarget::Count(600),
-            seed: 1,
-            frames_per_second: 30.0,
-            residual_exponent: 2.0,
-        }
+        Self { target: FitTarget::Count(600), seed: 1, frames_per_second: 30.0, residual_exponent: None }
     }
 }
 
@@ -104,29 +103,14 @@ pub struct Baked {
 pub fn bake(grid: &DensityGrid, settings: &BakeSettings, progress: &dyn Fn(BakeProgress)) -> Result<Baked, BakeError> {
     bundle::check_shape(grid.shape)?;
     let mut clock = Clock::start();
-    let fit_settings = FitSettings {
-        target: settings.target,
-        seed: settings.seed,
-        ..FitSettings::default()
-    };
-    let Fit {
-        model: rbfs,
-        report: fit_report,
-    } = fit(grid.shape, &grid.values, &fit_settings, &|p| {
-        progress(BakeProgress::Fitting(p))
-    })?;
+    let fit_settings = FitSettings { target: settings.target, seed: settings.seed, ..FitSettings::default() };
+    let Fit { model: rbfs, report: fit_report } =
+        fit(grid.shape, &grid.values, &fit_settings, &|p| progress(BakeProgress::Fitting(p)))?;
     let fit = clock.lap();
 
     progress(BakeProgress::Residual);
     let residuals = verify::difference(&grid.values, &rbfs.rasterize(grid.shape));
-    let max = residuals.iter().fold(0f32, |max, r| max.max(r.abs()));
-    let law = QuantizationLaw {
-        max,
-        exponent: settings.residual_exponent,
-    };
-    let codes: Vec<i8> = residuals.iter().map(|&r| law.encode(r)).collect();
-    let residual = HashedResidual::build(grid.shape, &codes, law)?;
-    let frame = SmokeFrame { rbfs, residual };
+    let frame = quantize(grid, rbfs, &residuals, settings.residual_exponent)?;
     let residual = clock.lap();
 
     progress(BakeProgress::Compressing);
@@ -146,19 +130,11 @@ pub fn bake(grid: &DensityGrid, settings: &BakeSettings, progress: &dyn Fn(BakeP
     let quantization = QuantizationReport::measure(&grid.values, frame);
     // Half a step is exact but for the rounding of a 32-bit number.
     if quantization.worst_half_steps.error > 1.0 {
-        let Worst {
-            error: half_steps,
-            cell,
-        } = quantization.worst_half_steps;
+        let Worst { error: half_steps, cell } = quantization.worst_half_steps;
         return Err(BakeError::Verification { cell, half_steps });
     }
     let picture = picture_error(grid, frame);
-    let seconds = StageSeconds {
-        fit,
-        residual,
-        compress,
-        verify: clock.lap(),
-    };
+    let seconds = StageSeconds { fit, residual, compress, verify: clock.lap() };
 
     let report = BakeReport {
         source: SourceReport::new(grid),
@@ -171,11 +147,28 @@ pub fn bake(grid: &DensityGrid, settings: &BakeSettings, progress: &dyn Fn(BakeP
         threads: rayon::current_num_threads(),
         seed: settings.seed,
     };
-    Ok(Baked {
-        animation,
-        file,
-        report,
-    })
+    Ok(Baked { animation, file, report })
+}
+
+/// Quantises and hashes the residual, by the law of the given exponent or by the first that is good enough.
+fn quantize(
+    grid: &DensityGrid,
+    rbfs: RbfModel,
+    residuals: &[f32],
+    exponent: Option<f32>,
+) -> Result<SmokeFrame, BakeError> {
+    let max = residuals.iter().fold(0f32, |max, r| max.max(r.abs()));
+    let choices = exponent.map_or(EXPONENTS.to_vec(), |exponent| vec![exponent]);
+    let mut frame = SmokeFrame { rbfs, residual: HashedResidual::empty(grid.shape) };
+    for exponent in choices {
+        let law = QuantizationLaw { max, exponent };
+        let codes: Vec<i8> = residuals.iter().map(|&r| law.encode(r)).collect();
+        frame.residual = HashedResidual::build(grid.shape, &codes, law)?;
+        if picture_error(grid, &frame).quantized <= PICTURE_BUDGET {
+            break;
+        }
+    }
+    Ok(frame)
 }
 
 /// Seconds since it was last asked.

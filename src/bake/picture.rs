@@ -48,12 +48,7 @@ pub fn picture_error(grid: &DensityGrid, frame: &SmokeFrame) -> PictureError {
     };
     let (quantized, pixels) = error(&frame.decode());
     let (without_residual, _) = error(&frame.rbfs.rasterize(grid.shape));
-    PictureError {
-        quantized,
-        without_residual,
-        pixels,
-        sigma_per_cell: sigma,
-    }
+    PictureError { quantized, without_residual, pixels, sigma_per_cell: sigma }
 }
 
 /// Density summed along z.
@@ -73,9 +68,7 @@ fn columns(shape: GridShape, density: &[f32]) -> Vec<f64> {
 fn extinction(columns: &[f64]) -> f64 {
     let mut sigma = f64::INFINITY;
     for _ in 0..8 {
-        let smoke = columns
-            .iter()
-            .filter(|&&column| column > 0.0 && -(-sigma * column).exp_m1() > SMOKE_OPACITY);
+        let smoke = columns.iter().filter(|&&column| column > 0.0 && -(-sigma * column).exp_m1() > SMOKE_OPACITY);
         let (sum, count) = smoke.fold((0.0, 0.0), |(sum, count), column| (sum + column, count + 1.0));
         if sum == 0.0 {
             return 0.0;

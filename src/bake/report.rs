@@ -129,12 +129,7 @@ pub struct StageSeconds {
 impl SourceReport {
     pub(super) fn new(grid: &DensityGrid) -> Self {
         let source = &grid.source;
-        let smallest = grid
-            .values
-            .iter()
-            .copied()
-            .filter(|&d| d > 0.0)
-            .fold(f32::INFINITY, f32::min);
+        let smallest = grid.values.iter().copied().filter(|&d| d > 0.0).fold(f32::INFINITY, f32::min);
         Self {
             grid: source.grid.clone(),
             active_voxels: source.active_voxels,
@@ -189,10 +184,6 @@ impl ResidualReport {
 impl BytesReport {
     pub(super) fn new(frame: &SmokeFrame, file: usize) -> Self {
         let dense = 4 * frame.residual.shape().len() as u64;
-        Self {
-            uncompressed: section_bytes(frame),
-            file,
-            dense,
-        }
+        Self { uncompressed: section_bytes(frame), file, dense }
     }
 }

@@ -16,24 +16,13 @@ fn grid() -> DensityGrid {
     DensityGrid {
         shape,
         values: values.collect(),
-        placement: Placement {
-            center: DVec3::new(1.0, 2.0, 3.0),
-            voxel_size: 0.125,
-        },
-        source: SourceInfo {
-            grid: "density".into(),
-            active_voxels: 77,
-            leaves: 5,
-            ..SourceInfo::default()
-        },
+        placement: Placement { center: DVec3::new(1.0, 2.0, 3.0), voxel_size: 0.125 },
+        source: SourceInfo { grid: "density".into(), active_voxels: 77, leaves: 5, ..SourceInfo::default() },
     }
 }
 
 fn settings() -> BakeSettings {
-    BakeSettings {
-        target: FitTarget::Count(12),
-        ..BakeSettings::default()
-    }
+    BakeSettings { target: FitTarget::Count(12), ..BakeSettings::default() }
 }
 
 fn bake_quietly(grid: &DensityGrid, settings: &BakeSettings) -> Baked {
@@ -44,17 +33,8 @@ fn bake_quietly(grid: &DensityGrid, settings: &BakeSettings) -> Baked {
 fn the_bundle_decodes_to_the_grid() {
     let grid = grid();
     for residual_exponent in [1.0, 1.5, 2.0] {
-        let Baked {
-            animation,
-            file,
-            report,
-        } = bake_quietly(
-            &grid,
-            &BakeSettings {
-                residual_exponent,
-                ..settings()
-            },
-        );
+        let Baked { animation, file, report } =
+            bake_quietly(&grid, &BakeSettings { residual_exponent: Some(residual_exponent), ..settings() });
         assert_eq!(bundle::read(&file).unwrap(), animation);
         assert_eq!((animation.shape, animation.placement), (grid.shape, grid.placement));
 
@@ -63,12 +43,7 @@ fn the_bundle_decodes_to_the_grid() {
         assert!((0.8..=1.0).contains(&half_steps), "{half_steps}");
         // What the GPU will add up in 32 bits, against the input: the worst reported error plus the rounding of the sum.
         let decoded = animation.frames[0].decode();
-        let worst = grid
-            .values
-            .iter()
-            .zip(&decoded)
-            .map(|(d, x)| f64::from((d - x).abs()))
-            .fold(0.0, f64::max);
+        let worst = grid.values.iter().zip(&decoded).map(|(d, x)| f64::from((d - x).abs())).fold(0.0, f64::max);
         assert!(worst <= report.quantization.worst_density.error + 1e-6, "{worst}");
         assert_eq!(animation.max_density, decoded.iter().copied().fold(0.0, f32::max));
         // The widest gap is that below the largest code: max · (1 − (126/127)^exponent).
@@ -81,16 +56,9 @@ fn the_bundle_decodes_to_the_grid() {
 #[test]
 fn the_report_agrees_with_the_bundle() {
     let grid = grid();
-    let Baked {
-        animation,
-        file,
-        report,
-    } = bake_quietly(&grid, &settings());
+    let Baked { animation, file, report } = bake_quietly(&grid, &settings());
     let frame = &animation.frames[0];
-    assert_eq!(
-        (report.source.active_voxels, report.source.leaves, report.source.dims),
-        (77, 5, [18, 24, 15])
-    );
+    assert_eq!((report.source.active_voxels, report.source.leaves, report.source.dims), (77, 5, [18, 24, 15]));
     assert_eq!(report.source.max_density, grid.max());
     assert!(report.source.min_density > 0.01);
     assert_eq!(report.fit.rbfs, frame.rbfs.rbfs.len());
@@ -102,21 +70,12 @@ fn the_report_agrees_with_the_bundle() {
     assert!(report.picture.quantized > 0.0);
     assert!(report.picture.quantized < 0.05 * report.picture.without_residual);
     let json = serde_json::to_value(&report).unwrap();
-    assert_eq!(
-        json["quantization"]["worst_half_steps"]["cell"]
-            .as_array()
-            .unwrap()
-            .len(),
-        3
-    );
+    assert_eq!(json["quantization"]["worst_half_steps"]["cell"].as_array().unwrap().len(), 3);
 }
 
 #[test]
 fn the_same_seed_gives_the_same_bytes() {
-    assert_eq!(
-        bake_quietly(&grid(), &settings()).file,
-        bake_quietly(&grid(), &settings()).file
-    );
+    assert_eq!(bake_quietly(&grid(), &settings()).file, bake_quietly(&grid(), &settings()).file);
 }
 
 #[test]
@@ -125,14 +84,7 @@ fn no_smoke_is_fine() {
     grid.values.fill(0.0);
     let Baked { animation, report, .. } = bake_quietly(&grid, &settings());
     assert!(animation.frames[0].decode().iter().all(|&d| d == 0.0));
-    assert_eq!(
-        (
-            report.fit.error,
-            report.quantization.rms_relative,
-            report.picture.quantized
-        ),
-        (0.0, 0.0, 0.0)
-    );
+    assert_eq!((report.fit.error, report.quantization.rms_relative, report.picture.quantized), (0.0, 0.0, 0.0));
     assert_eq!(report.source.min_density, 0.0);
 }
 

@@ -44,17 +44,10 @@ impl QuantizationReport {
         for (index, (&residual, &density)) in residuals.iter().zip(density).enumerate() {
             let cell = shape.cell(index);
             let error = (f64::from(residual) - f64::from(frame.residual.get(cell))).abs();
-            let half_steps = if error == 0.0 {
-                0.0
-            } else {
-                error / levels.half_step(residual)
-            };
+            let half_steps = if error == 0.0 { 0.0 } else { error / levels.half_step(residual) };
             for (worst, error) in [(&mut worst_half_steps, half_steps), (&mut worst_density, error)] {
                 if error > worst.error {
-                    *worst = Worst {
-                        error,
-                        cell: cell.to_array(),
-                    };
+                    *worst = Worst { error, cell: cell.to_array() };
                 }
             }
             error_sum += error * error;
@@ -104,18 +97,12 @@ mod tests {
 
     #[test]
     fn steps_lie_between_neighbouring_levels() {
-        let linear = Levels::new(QuantizationLaw {
-            max: 127.0,
-            exponent: 1.0,
-        });
+        let linear = Levels::new(QuantizationLaw { max: 127.0, exponent: 1.0 });
         // Levels are 0, 1 … 127 up to the rounding of q / 127 in 32 bits.
         for residual in [0.0, 0.3, -5.5, 126.9, 127.0] {
             assert!((linear.half_step(residual) - 0.5).abs() < 1e-5, "{residual}");
         }
-        let square = Levels::new(QuantizationLaw {
-            max: 127.0 * 127.0,
-            exponent: 2.0,
-        });
+        let square = Levels::new(QuantizationLaw { max: 127.0 * 127.0, exponent: 2.0 });
         assert!((square.half_step(9.5) - 3.5).abs() < 1e-3, "between 3² and 4²");
     }
 }

@@ -80,19 +80,13 @@ pub enum FrameError {
 
 impl BundleError {
     pub(super) fn header(field: &'static str, problem: impl Into<String>) -> Self {
-        Self::Header {
-            field,
-            problem: problem.into(),
-        }
+        Self::Header { field, problem: problem.into() }
     }
 }
 
 impl FrameError {
     pub(super) fn field(field: &'static str, problem: impl Into<String>) -> Self {
-        Self::Field {
-            field,
-            problem: problem.into(),
-        }
+        Self::Field { field, problem: problem.into() }
     }
 
     pub(super) fn at(self, index: usize) -> BundleError {

@@ -39,16 +39,10 @@ pub fn read(bytes: &[u8]) -> Result<SmokeAnimation, BundleError> {
     for (index, entry) in header.frames.iter().enumerate() {
         let end = entry.offset + entry.length;
         if end > found {
-            return Err(BundleError::Truncated {
-                part: "frames",
-                expected,
-                found,
-            });
+            return Err(BundleError::Truncated { part: "frames", expected, found });
         }
         // Both fit in usize, for they lie within `bytes`.
-        frames.push(Arc::new(
-            header.read_frame(index, &bytes[entry.offset as usize..end as usize])?,
-        ));
+        frames.push(Arc::new(header.read_frame(index, &bytes[entry.offset as usize..end as usize])?));
     }
     Ok(SmokeAnimation {
         shape: header.shape,
@@ -67,10 +61,7 @@ pub fn read(bytes: &[u8]) -> Result<SmokeAnimation, BundleError> {
 #[cfg(feature = "bake")]
 pub fn write(animation: &SmokeAnimation) -> Result<Vec<u8>, BundleError> {
     if animation.frames.len() > MAX_FRAMES as usize {
-        return Err(BundleError::header(
-            "frame_count",
-            format!("{} is above {MAX_FRAMES}", animation.frames.len()),
-        ));
+        return Err(BundleError::header("frame_count", format!("{} is above {MAX_FRAMES}", animation.frames.len())));
     }
     let mut entries = Vec::new();
     let mut data = Vec::new();
@@ -162,17 +153,11 @@ impl BundleHeader {
         let length = fields.u32();
         let frames = fields.u32();
         if !(1..=MAX_FRAMES).contains(&frames) {
-            return Err(BundleError::header(
-                "frame_count",
-                format!("{frames} is not from 1 to {MAX_FRAMES}"),
-            ));
+            return Err(BundleError::header("frame_count", format!("{frames} is not from 1 to {MAX_FRAMES}")));
         }
         let expected = Self::length_with(frames as usize);
         if length as usize != expected {
-            return Err(BundleError::header(
-                "header_length",
-                format!("{length}, but {frames} frames need {expected}"),
-            ));
+            return Err(BundleError::header("header_length", format!("{length}, but {frames} frames need {expected}")));
         }
         Ok(expected)
     }
@@ -198,10 +183,7 @@ impl BundleHeader {
         let shape = read_shape(&mut fields)?;
         let frames_per_second = fields.f32();
         if !(frames_per_second.is_finite() && frames_per_second > 0.0) {
-            return Err(BundleError::header(
-                "frames_per_second",
-                format!("{frames_per_second} is not above 0"),
-            ));
+            return Err(BundleError::header("frames_per_second", format!("{frames_per_second} is not above 0")));
         }
         let center = DVec3::new(fields.f64(), fields.f64(), fields.f64());
         if !center.is_finite() {
@@ -209,30 +191,18 @@ impl BundleHeader {
         }
         let voxel_size = fields.f64();
         if !(voxel_size.is_finite() && voxel_size > 0.0) {
-            return Err(BundleError::header(
-                "voxel_size",
-                format!("{voxel_size} is not above 0"),
-            ));
+            return Err(BundleError::header("voxel_size", format!("{voxel_size} is not above 0")));
         }
         let max_density = fields.f32();
         if !(max_density.is_finite() && max_density >= 0.0) {
-            return Err(BundleError::header(
-                "max_density",
-                format!("{max_density} is not a finite density"),
-            ));
+            return Err(BundleError::header("max_density", format!("{max_density} is not a finite density")));
         }
         let (reserved, table) = fields.0.split_at(Self::FIXED_BYTES - 76);
         if reserved.iter().any(|&byte| byte != 0) {
             return Err(BundleError::header("reserved", "not 0"));
         }
         let frames = read_table(table, count, length as u64, shape)?;
-        Ok(Self {
-            shape,
-            placement: Placement { center, voxel_size },
-            frames_per_second,
-            max_density,
-            frames,
-        })
+        Ok(Self { shape, placement: Placement { center, voxel_size }, frames_per_second, max_density, frames })
     }
 
     /// Reads frame `index` from its bytes: `length` of them from `offset` of its [`FrameEntry`].
@@ -241,10 +211,7 @@ impl BundleHeader {
     ///
     /// There is no such frame, or it is damaged or breaks a rule of the format.
     pub fn read_frame(&self, index: usize, bytes: &[u8]) -> Result<SmokeFrame, BundleError> {
-        let entry = self
-            .frames
-            .get(index)
-            .ok_or(FrameError::Missing(self.frames.len()).at(index))?;
+        let entry = self.frames.get(index).ok_or(FrameError::Missing(self.frames.len()).at(index))?;
         let read = || {
             let (expected, found) = (entry.length, bytes.len() as u64);
             if found != expected {
@@ -294,17 +261,11 @@ impl BundleHeader {
 }
 
 fn header_truncated(expected: usize, found: usize) -> BundleError {
-    BundleError::Truncated {
-        part: "header",
-        expected: expected as u64,
-        found: found as u64,
-    }
+    BundleError::Truncated { part: "header", expected: expected as u64, found: found as u64 }
 }
 
 fn read_shape(fields: &mut Fields) -> Result<GridShape, BundleError> {
-    let shape = GridShape {
-        dims: UVec3::new(fields.u32(), fields.u32(), fields.u32()),
-    };
+    let shape = GridShape { dims: UVec3::new(fields.u32(), fields.u32(), fields.u32()) };
     check_shape(shape)?;
     Ok(shape)
 }
@@ -312,17 +273,11 @@ fn read_shape(fields: &mut Fields) -> Result<GridShape, BundleError> {
 /// Whether a box of cells is within the format's limits.
 pub(crate) fn check_shape(GridShape { dims }: GridShape) -> Result<(), BundleError> {
     if dims.to_array().iter().any(|side| !(1..=MAX_SIDE).contains(side)) {
-        return Err(BundleError::header(
-            "dims",
-            format!("{dims} cells; a side has 1 to {MAX_SIDE}"),
-        ));
+        return Err(BundleError::header("dims", format!("{dims} cells; a side has 1 to {MAX_SIDE}")));
     }
     let cells: u64 = dims.to_array().map(u64::from).iter().product();
     if cells > MAX_CELLS {
-        return Err(BundleError::header(
-            "dims",
-            format!("{dims} are {cells} cells; the limit is {MAX_CELLS}"),
-        ));
+        return Err(BundleError::header("dims", format!("{dims} are {cells} cells; the limit is {MAX_CELLS}")));
     }
     Ok(())
 }
@@ -333,18 +288,11 @@ fn read_table(table: &[u8], count: usize, start: u64, shape: GridShape) -> Resul
     let mut frames = Vec::with_capacity(count);
     for (index, entry) in table.chunks_exact(TABLE_ENTRY).enumerate() {
         let mut fields = Fields(entry);
-        let entry = FrameEntry {
-            offset: fields.u64(),
-            length: fields.u64(),
-            uncompressed: fields.u64(),
-            crc32: fields.u32(),
-        };
+        let entry =
+            FrameEntry { offset: fields.u64(), length: fields.u64(), uncompressed: fields.u64(), crc32: fields.u32() };
         let fault = |field, problem| Err(FrameError::field(field, problem).at(index));
         if entry.offset != end {
-            return fault(
-                "offset",
-                format!("{}, where {end} follows from the frames before", entry.offset),
-            );
+            return fault("offset", format!("{}, where {end} follows from the frames before", entry.offset));
         }
         let limit = max_frame_bytes(shape);
         if entry.uncompressed > limit {
@@ -354,10 +302,7 @@ fn read_table(table: &[u8], count: usize, start: u64, shape: GridShape) -> Resul
             );
         }
         if entry.length == 0 || entry.length > 2 * limit {
-            return fault(
-                "length",
-                format!("{} bytes for {} uncompressed", entry.length, entry.uncompressed),
-            );
+            return fault("length", format!("{} bytes for {} uncompressed", entry.length, entry.uncompressed));
         }
         if fields.u32() != 0 {
             return fault("reserved", "not 0".into());

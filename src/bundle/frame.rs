@@ -49,32 +49,20 @@ pub(super) fn max_frame_bytes(shape: GridShape) -> u64 {
 pub(super) fn decode(bytes: &[u8], shape: GridShape) -> Result<SmokeFrame, FrameError> {
     let found = bytes.len() as u64;
     let Some((counts, rest)) = bytes.split_first_chunk::<COUNTS>() else {
-        return Err(FrameError::Length {
-            expected: COUNTS as u64,
-            found,
-        });
+        return Err(FrameError::Length { expected: COUNTS as u64, found });
     };
     let [rbf_count, max, exponent, residual_count, offset_side, slots] = bytemuck::cast::<_, [[u8; 4]; 6]>(*counts);
     let [rbf_count, residual_count] = [rbf_count, residual_count].map(u32::from_le_bytes);
     let [offset_side, slots] = [offset_side, slots].map(u32::from_le_bytes);
-    let law = QuantizationLaw {
-        max: f32::from_le_bytes(max),
-        exponent: f32::from_le_bytes(exponent),
-    };
+    let law = QuantizationLaw { max: f32::from_le_bytes(max), exponent: f32::from_le_bytes(exponent) };
 
     if rbf_count > MAX_RBFS {
-        return Err(FrameError::field(
-            "rbf_count",
-            format!("{rbf_count} is above {MAX_RBFS}"),
-        ));
+        return Err(FrameError::field("rbf_count", format!("{rbf_count} is above {MAX_RBFS}")));
     }
     // A power that does not fit is surely above the limit.
     let offsets = offset_side.checked_pow(3).map_or(u64::MAX, u64::from);
     if offsets > max_offsets(shape) {
-        let problem = format!(
-            "{offset_side}, but a table on this box has at most {} entries",
-            max_offsets(shape)
-        );
+        let problem = format!("{offset_side}, but a table on this box has at most {} entries", max_offsets(shape));
         return Err(FrameError::field("offset_side", problem));
     }
     let lengths = sizes(shape, rbf_count, offset_side, residual_count);
@@ -92,10 +80,7 @@ pub(super) fn decode(bytes: &[u8], shape: GridShape) -> Result<SmokeFrame, Frame
         check_rbf(rbf).map_err(|problem| FrameError::field("rbfs", format!("number {index} has {problem}")))?;
     }
     if law.max > MAX_DENSITY {
-        return Err(FrameError::field(
-            "law_max",
-            format!("{} is above {MAX_DENSITY}", law.max),
-        ));
+        return Err(FrameError::field("law_max", format!("{} is above {MAX_DENSITY}", law.max)));
     }
     let residual = HashedResidual::from_parts(
         shape,
@@ -106,19 +91,12 @@ pub(super) fn decode(bytes: &[u8], shape: GridShape) -> Result<SmokeFrame, Frame
         from_le(offsets, u16::from_le_bytes),
         slots,
     )?;
-    Ok(SmokeFrame {
-        rbfs: RbfModel { rbfs },
-        residual,
-    })
+    Ok(SmokeFrame { rbfs: RbfModel { rbfs }, residual })
 }
 
 fn read_rbf(bytes: &[u8]) -> Rbf {
     let values: Vec<f32> = from_le(bytes, f32::from_le_bytes);
-    Rbf {
-        center: [values[0], values[1], values[2]],
-        radius: values[3],
-        weight: values[4],
-    }
+    Rbf { center: [values[0], values[1], values[2]], radius: values[3], weight: values[4] }
 }
 
 fn check_rbf(rbf: &Rbf) -> Result<(), String> {
@@ -130,9 +108,7 @@ fn check_rbf(rbf: &Rbf) -> Result<(), String> {
         return Err(format!("radius {radius}, outside {MIN_RADIUS} to {MAX_RADIUS}"));
     }
     if !(weight > 0.0 && weight <= MAX_DENSITY) {
-        return Err(format!(
-            "weight {weight}, which is not above 0 and at most {MAX_DENSITY}"
-        ));
+        return Err(format!("weight {weight}, which is not above 0 and at most {MAX_DENSITY}"));
     }
     Ok(())
 }
@@ -152,14 +128,9 @@ pub(super) fn decompress(compressed: &[u8], length: u64) -> Result<Vec<u8>, Fram
     decoder.set_max_window_size(length.max(WINDOW));
     let stream = StreamingDecoder::new_with_decoder(&mut source, decoder).map_err(|error| fault(error.to_string()))?;
     let mut bytes = Vec::new();
-    stream
-        .take(length + 1)
-        .read_to_end(&mut bytes)
-        .map_err(|error| fault(error.to_string()))?;
+    stream.take(length + 1).read_to_end(&mut bytes).map_err(|error| fault(error.to_string()))?;
     if bytes.len() as u64 > length {
-        return Err(fault(format!(
-            "it goes on after the {length} bytes that the frame table gives"
-        )));
+        return Err(fault(format!("it goes on after the {length} bytes that the frame table gives")));
     }
     if (bytes.len() as u64) < length {
         return Err(fault(format!("it ends after {} of {length} bytes", bytes.len())));
@@ -195,27 +166,14 @@ mod writing {
     /// The uncompressed bytes that each part of a frame takes in a file.
     pub fn section_bytes(frame: &SmokeFrame) -> SectionBytes {
         let SmokeFrame { rbfs, residual } = frame;
-        let [rbfs, occupancy, offsets, residuals] = sizes(
-            residual.shape(),
-            rbfs.rbfs.len() as u32,
-            residual.offset_side(),
-            residual.count(),
-        );
-        SectionBytes {
-            counts: COUNTS as u64,
-            rbfs,
-            occupancy,
-            offsets,
-            residuals,
-        }
+        let [rbfs, occupancy, offsets, residuals] =
+            sizes(residual.shape(), rbfs.rbfs.len() as u32, residual.offset_side(), residual.count());
+        SectionBytes { counts: COUNTS as u64, rbfs, occupancy, offsets, residuals }
     }
 
     /// The uncompressed bytes of a frame.
     pub(in crate::bundle) fn encode(frame: &SmokeFrame) -> Vec<u8> {
-        let SmokeFrame {
-            rbfs: RbfModel { rbfs },
-            residual,
-        } = frame;
+        let SmokeFrame { rbfs: RbfModel { rbfs }, residual } = frame;
         let law = residual.law();
         let mut bytes = Vec::new();
         bytes.extend((rbfs.len() as u32).to_le_bytes());
@@ -226,11 +184,7 @@ mod writing {
         }
         for rbf in rbfs {
             let [x, y, z] = rbf.center;
-            bytes.extend(
-                [x, y, z, rbf.radius, rbf.weight]
-                    .iter()
-                    .flat_map(|value| value.to_le_bytes()),
-            );
+            bytes.extend([x, y, z, rbf.radius, rbf.weight].iter().flat_map(|value| value.to_le_bytes()));
         }
         bytes.extend(residual.occupancy().iter().flat_map(|word| word.to_le_bytes()));
         bytes.extend(residual.offsets().iter().flat_map(|offset| offset.to_le_bytes()));

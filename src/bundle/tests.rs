@@ -21,40 +21,20 @@ fn residual() -> HashedResidual {
         occupancy[cell / 32] |= 1 << (cell % 32);
         values.push(if cell % 2 == 0 { 1 + (cell % 127) as i8 } else { -5 });
     }
-    let law = QuantizationLaw {
-        max: 0.75,
-        exponent: 1.5,
-    };
+    let law = QuantizationLaw { max: 0.75, exponent: 1.5 };
     HashedResidual::from_parts(SHAPE, law, occupancy, &values, 1, vec![0], cells as u32).unwrap()
 }
 
 fn animation() -> SmokeAnimation {
     let rbfs = vec![
-        Rbf {
-            center: [0.1, -0.2, 0.3],
-            radius: 0.25,
-            weight: 1.5,
-        },
-        Rbf {
-            center: [-0.3, 0.0, -0.45],
-            radius: 0.1,
-            weight: 0.01,
-        },
+        Rbf { center: [0.1, -0.2, 0.3], radius: 0.25, weight: 1.5 },
+        Rbf { center: [-0.3, 0.0, -0.45], radius: 0.1, weight: 0.01 },
     ];
-    let smoke = SmokeFrame {
-        rbfs: RbfModel { rbfs },
-        residual: residual(),
-    };
-    let clear = SmokeFrame {
-        rbfs: RbfModel::default(),
-        residual: HashedResidual::empty(SHAPE),
-    };
+    let smoke = SmokeFrame { rbfs: RbfModel { rbfs }, residual: residual() };
+    let clear = SmokeFrame { rbfs: RbfModel::default(), residual: HashedResidual::empty(SHAPE) };
     SmokeAnimation {
         shape: SHAPE,
-        placement: Placement {
-            center: DVec3::new(1.0, -2.0, 1e-3),
-            voxel_size: 0.05,
-        },
+        placement: Placement { center: DVec3::new(1.0, -2.0, 1e-3), voxel_size: 0.05 },
         frames_per_second: 30.0,
         max_density: 2.25,
         frames: vec![Arc::new(smoke), Arc::new(clear)],
@@ -108,26 +88,14 @@ fn fault(bytes: &[u8]) -> String {
 fn round_trip() {
     assert_eq!(read(&file()).unwrap(), animation());
     let sizes = section_bytes(&animation().frames[0]);
-    assert_eq!(
-        sizes,
-        SectionBytes {
-            counts: 24,
-            rbfs: 40,
-            occupancy: 28,
-            offsets: 2,
-            residuals: 70
-        }
-    );
+    assert_eq!(sizes, SectionBytes { counts: 24, rbfs: 40, occupancy: 28, offsets: 2, residuals: 70 });
     assert_eq!(payload().len(), 164);
 }
 
 #[test]
 fn single_frames_need_no_other_bytes() {
     let bytes = file();
-    assert_eq!(
-        BundleHeader::byte_length(&bytes[..BundleHeader::FIXED_BYTES]).unwrap(),
-        HEADER
-    );
+    assert_eq!(BundleHeader::byte_length(&bytes[..BundleHeader::FIXED_BYTES]).unwrap(), HEADER);
     let header = BundleHeader::read(&bytes[..HEADER]).unwrap();
     assert_eq!(header.file_length(), bytes.len() as u64);
     for (index, entry) in header.frames.iter().enumerate() {
@@ -154,10 +122,7 @@ fn truncation_at_every_length() {
     let bytes = file();
     for length in 0..bytes.len() {
         let error = read(&bytes[..length]).unwrap_err();
-        assert!(
-            matches!(error, BundleError::Truncated { found, .. } if found == length as u64),
-            "{length}: {error}"
-        );
+        assert!(matches!(error, BundleError::Truncated { found, .. } if found == length as u64), "{length}: {error}");
     }
     let mut longer = bytes;
     longer.push(0);
@@ -190,16 +155,8 @@ fn every_header_rule_has_its_message() {
         (96 + 8, &[255; 8], "frame 0: length"),
         (96 + 8, &[1], "frame 1: offset"),
         (96 + 16, &[255; 8], "frame 0: uncompressed"),
-        (
-            96 + 16,
-            &[1],
-            "frame 0: its compressed data is not valid: it goes on after",
-        ),
-        (
-            96 + 16,
-            &[255],
-            "frame 0: its compressed data is not valid: it ends after 164 of 255",
-        ),
+        (96 + 16, &[1], "frame 0: its compressed data is not valid: it goes on after"),
+        (96 + 16, &[255], "frame 0: its compressed data is not valid: it ends after 164 of 255"),
         (96 + 24, &[0; 4], "frame 0: its checksum"),
         (96 + 28, &[1], "frame 0: reserved"),
     ];
@@ -245,10 +202,7 @@ fn every_frame_rule_has_its_message() {
         let mut payload = payload();
         put(&mut payload, at, value);
         let message = fault(&with_payload(&payload));
-        assert!(
-            message.starts_with("frame 0: ") && message.contains(expected),
-            "byte {at}: {message}"
-        );
+        assert!(message.starts_with("frame 0: ") && message.contains(expected), "byte {at}: {message}");
     }
     assert!(fault(&with_payload(&[])).contains("it has 0 bytes where its counts need 24"));
 }
@@ -275,10 +229,7 @@ fn frames_that_decompress_to_too_much_are_refused() {
     bomb.extend(&block_header.to_le_bytes()[..3]);
     bomb.extend(block);
     let message = fault(&with_frame(&bomb, 164));
-    assert!(
-        message.contains("not valid") && message.to_lowercase().contains("bytes"),
-        "{message}"
-    );
+    assert!(message.contains("not valid") && message.to_lowercase().contains("bytes"), "{message}");
 
     // Two Zstandard frames, or junk after the first.
     let mut twice = frame::compress(&payload()).unwrap();

@@ -56,36 +56,22 @@ pub struct BakeArgs {
 
 fn fit_error(text: &str) -> Result<f32, String> {
     let error = text.parse().map_err(|_| "not a number".to_string())?;
-    if error > 0.0 && error < 1.0 {
-        Ok(error)
-    } else {
-        Err("not between 0 and 1".into())
-    }
+    if error > 0.0 && error < 1.0 { Ok(error) } else { Err("not between 0 and 1".into()) }
 }
 
 fn frames_per_second(text: &str) -> Result<f32, String> {
     let fps: f32 = text.parse().map_err(|_| "not a number".to_string())?;
-    if fps > 0.0 && fps.is_finite() {
-        Ok(fps)
-    } else {
-        Err("not above 0".into())
-    }
+    if fps > 0.0 && fps.is_finite() { Ok(fps) } else { Err("not above 0".into()) }
 }
 
 /// Runs `smoke bake`.
 pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
     let [input] = args.frames.as_slice() else {
-        bail!(
-            "{} frames given, but sequences are not supported yet: bake one frame",
-            args.frames.len()
-        );
+        bail!("{} frames given, but sequences are not supported yet: bake one frame", args.frames.len());
     };
     let output = OutputFile::prepare(&args.output, &[input])?;
-    let report_file = args
-        .report
-        .as_deref()
-        .map(|path| OutputFile::prepare(path, &[input, &args.output]))
-        .transpose()?;
+    let report_file =
+        args.report.as_deref().map(|path| OutputFile::prepare(path, &[input, &args.output])).transpose()?;
 
     let started = Instant::now();
     let grid = density::read(input, args.grid.as_deref())?;
@@ -98,12 +84,7 @@ pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
         (None, Some(error)) => FitTarget::Error(error),
         (None, None) => defaults.target,
     };
-    let settings = BakeSettings {
-        target,
-        seed: args.seed,
-        frames_per_second: args.fps,
-        ..defaults
-    };
+    let settings = BakeSettings { target, seed: args.seed, frames_per_second: args.fps, ..defaults };
     let bar = progress_bar();
     let result = bake(&grid, &settings, &|progress| show(&bar, &progress));
     bar.finish_and_clear();
@@ -154,16 +135,10 @@ fn summary(report: &BakeReport) -> String {
 
 fn warn_of_lost_smoke(grid: &DensityGrid) {
     if grid.source.negative_voxels > 0 {
-        eprintln!(
-            "warning: {} voxels have negative density; they are taken as empty",
-            grid.source.negative_voxels
-        );
+        eprintln!("warning: {} voxels have negative density; they are taken as empty", grid.source.negative_voxels);
     }
     if grid.source.background != 0.0 {
-        eprintln!(
-            "warning: the grid's background is {}, not 0; smoke outside its box is lost",
-            grid.source.background
-        );
+        eprintln!("warning: the grid's background is {}, not 0; smoke outside its box is lost", grid.source.background);
     }
 }
 
@@ -182,10 +157,9 @@ fn progress_bar() -> ProgressBar {
 
 fn show(bar: &ProgressBar, progress: &BakeProgress) {
     let (position, message) = match progress {
-        BakeProgress::Fitting(fit) => (
-            fit.fraction * FIT_SHARE,
-            format!("{} RBFs, {:.1} %", fit.rbfs, 100.0 * fit.error),
-        ),
+        BakeProgress::Fitting(fit) => {
+            (fit.fraction * FIT_SHARE, format!("{} RBFs, {:.1} %", fit.rbfs, 100.0 * fit.error))
+        }
         BakeProgress::Residual => (FIT_SHARE, "residual".into()),
         BakeProgress::Compressing => (FIT_SHARE, "compressing".into()),
         BakeProgress::Verifying => (1.0, "verifying".into()),
@@ -236,11 +210,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (output, report) = (dir.path().join("blob.smoke"), dir.path().join("blob.json"));
         let input = blob(dir.path());
-        run(&BakeArgs {
-            report: Some(report.clone()),
-            ..args(&[&input], &output)
-        })
-        .unwrap();
+        run(&BakeArgs { report: Some(report.clone()), ..args(&[&input], &output) }).unwrap();
 
         let bytes = std::fs::read(&output).unwrap();
         let animation = crate::bundle::read(&bytes).unwrap();
@@ -264,13 +234,7 @@ mod tests {
         let input = blob(dir.path());
         assert!(refusal(&args(&[&input], &input)).contains("is an input"));
         let report = Some(output.clone());
-        assert!(
-            refusal(&BakeArgs {
-                report,
-                ..args(&[&input], &output)
-            })
-            .contains("another output")
-        );
+        assert!(refusal(&BakeArgs { report, ..args(&[&input], &output) }).contains("another output"));
         assert!(!output.exists());
     }
 }

@@ -76,12 +76,7 @@ pub fn run(args: &CompareArgs) -> anyhow::Result<()> {
         })?,
     };
     if args.json {
-        let report = Report {
-            channel: args.channel,
-            relative_error: relative,
-            rms_error: rms,
-            pixels,
-        };
+        let report = Report { channel: args.channel, relative_error: relative, rms_error: rms, pixels };
         print(&format!("{}\n", serde_json::to_string_pretty(&report)?))
     } else {
         print(&format!("{:.3} % over {pixels} smoke pixels\n", 100.0 * relative))
@@ -94,10 +89,7 @@ fn halves(argument: &str) -> anyhow::Result<Vec<PathBuf>> {
         return Ok(vec![argument.into()]);
     }
     let paths: Vec<PathBuf> = argument.split(',').map(PathBuf::from).collect();
-    ensure!(
-        paths.len() <= 2,
-        "{argument}: an image comes as one file, or as two halves joined by a comma"
-    );
+    ensure!(paths.len() <= 2, "{argument}: an image comes as one file, or as two halves joined by a comma");
     Ok(paths)
 }
 
@@ -151,10 +143,7 @@ mod tests {
         let rgb = measure(&[&image], &[&reference], &reference, ExrImage::rgb).unwrap();
         assert_eq!((rgb.relative, rgb.pixels), (0.25, 1));
         let alpha = |image: &ExrImage| Ok(image.alpha()?.iter().map(|&a| [a]).collect::<Vec<_>>());
-        assert_eq!(
-            measure(&[&image], &[&reference], &reference, alpha).unwrap().relative,
-            0.5
-        );
+        assert_eq!(measure(&[&image], &[&reference], &reference, alpha).unwrap().relative, 0.5);
     }
 
     #[test]

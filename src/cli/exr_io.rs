@@ -42,10 +42,7 @@ impl ExrImage {
 
     /// The samples of one channel.
     pub fn channel(&self, name: &str) -> Option<&[f32]> {
-        self.channels
-            .iter()
-            .find(|(n, _)| n == name)
-            .map(|(_, values)| values.as_slice())
+        self.channels.iter().find(|(n, _)| n == name).map(|(_, values)| values.as_slice())
     }
 
     /// The colour of every pixel, from the channels R, G and B.
@@ -61,10 +58,7 @@ impl ExrImage {
         match (self.channel("A"), self.channels.as_slice()) {
             (Some(alpha), _) => Ok(alpha),
             (None, [(_, alpha)]) => Ok(alpha),
-            _ => bail!(
-                "no A channel, and not one single channel, among {}",
-                self.channel_names()
-            ),
+            _ => bail!("no A channel, and not one single channel, among {}", self.channel_names()),
         }
     }
 
@@ -76,11 +70,7 @@ impl ExrImage {
 
 /// An OpenEXR file with channels R, G, B, A as 32-bit floats, losslessly compressed; `pixels` in rows, top row first.
 pub fn encode_rgba(width: usize, height: usize, pixels: &[[f32; 4]]) -> anyhow::Result<Vec<u8>> {
-    ensure!(
-        pixels.len() == width * height,
-        "{} pixels given for an image of {width} × {height}",
-        pixels.len()
-    );
+    ensure!(pixels.len() == width * height, "{} pixels given for an image of {width} × {height}", pixels.len());
     let image = exr::prelude::Image::from_channels(
         (width, height),
         SpecificChannels::rgba(|at: exr::prelude::Vec2<usize>| {
@@ -89,10 +79,7 @@ pub fn encode_rgba(width: usize, height: usize, pixels: &[[f32; 4]]) -> anyhow::
         }),
     );
     let mut bytes = Vec::new();
-    image
-        .write()
-        .to_buffered(std::io::Cursor::new(&mut bytes))
-        .context("cannot encode the image")?;
+    image.write().to_buffered(std::io::Cursor::new(&mut bytes)).context("cannot encode the image")?;
     Ok(bytes)
 }
 
@@ -120,10 +107,7 @@ mod tests {
         let channels = SpecificChannels::build()
             .with_channel::<f16>("Y")
             .with_pixel_fn(|at: exr::prelude::Vec2<usize>| (f16::from_f32(at.x() as f32 / 4.0),));
-        exr::prelude::Image::from_channels((4, 1), channels)
-            .write()
-            .to_file(&path)
-            .unwrap();
+        exr::prelude::Image::from_channels((4, 1), channels).write().to_file(&path).unwrap();
         let image = ExrImage::read(&path).unwrap();
         assert_eq!(image.alpha().unwrap(), [0.0, 0.25, 0.5, 0.75]);
         assert!(image.rgb().unwrap_err().to_string().contains("among Y"));

@@ -67,11 +67,7 @@ pub fn run(args: &InfoArgs) -> anyhow::Result<()> {
 fn describe(bytes: &[u8]) -> anyhow::Result<Info> {
     let animation = crate::bundle::read(bytes)?;
     let header = BundleHeader::read(bytes)?;
-    let frames = header
-        .frames
-        .iter()
-        .zip(&animation.frames)
-        .map(|(entry, frame)| FrameInfo::new(entry, frame));
+    let frames = header.frames.iter().zip(&animation.frames).map(|(entry, frame)| FrameInfo::new(entry, frame));
     Ok(Info {
         format_version: 1,
         bytes: header.file_length(),
@@ -116,21 +112,10 @@ impl std::fmt::Display for Info {
         )?;
         writeln!(f, "  bytes    {} ({share:.1} % of 32-bit densities)", self.bytes)?;
         writeln!(f, "  density  up to {}", self.max_density)?;
-        writeln!(
-            f,
-            "  file's placement  centre {:?}, box {width:.4} × {height:.4} × {depth:.4}",
-            self.center
-        )?;
+        writeln!(f, "  file's placement  centre {:?}, box {width:.4} × {height:.4} × {depth:.4}", self.center)?;
         writeln!(f, "  frame   RBFs  residuals  residual range  exponent     bytes")?;
         for (index, frame) in self.frames.iter().enumerate() {
-            let FrameInfo {
-                rbfs,
-                residuals,
-                law_max,
-                law_exponent,
-                bytes,
-                ..
-            } = frame;
+            let FrameInfo { rbfs, residuals, law_max, law_exponent, bytes, .. } = frame;
             writeln!(
                 f,
                 "  {index:5} {rbfs:6} {residuals:10}  {:>14} {law_exponent:9} {bytes:9}",

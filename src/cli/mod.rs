@@ -92,10 +92,7 @@ fn refuse(message: &str) -> ExitCode {
 /// Clap's message without its usage block, which takes several lines.
 fn usage_line(message: &str) -> String {
     let start = message.trim_start_matches("error: ");
-    let end = ["\n\nUsage:", "\n\nFor more information"]
-        .iter()
-        .filter_map(|mark| start.find(mark))
-        .min();
+    let end = ["\n\nUsage:", "\n\nFor more information"].iter().filter_map(|mark| start.find(mark)).min();
     format!("{} (see smoke --help)", one_line(&start[..end.unwrap_or(start.len())]))
 }
 
@@ -116,9 +113,7 @@ mod tests {
     #[test]
     fn causes_are_said_once() {
         let file = std::io::Error::other("disk full");
-        let error = anyhow::Error::from(file)
-            .context("cannot write: disk full")
-            .context("scene a.json");
+        let error = anyhow::Error::from(file).context("cannot write: disk full").context("scene a.json");
         assert_eq!(with_causes(&error), "scene a.json: cannot write: disk full");
     }
 
@@ -138,12 +133,7 @@ mod tests {
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--rbfs", "0"], "--rbfs"),
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--fps", "nan"], "--fps"),
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--error", "2"], "--error"),
-            (
-                &[
-                    "smoke", "bake", "x.vdb", "-o", "x.smoke", "--error", "0.1", "--rbfs", "9",
-                ],
-                "cannot be used with",
-            ),
+            (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--error", "0.1", "--rbfs", "9"], "cannot be used with"),
         ] {
             let line = usage(arguments);
             assert!(line.contains(expected) && !line.contains('\n'), "{line}");

@@ -22,11 +22,7 @@ impl OutputFile {
         let target = resolve(path).with_context(describe)?;
         for other in taken {
             let same = resolve(other).is_ok_and(|other| other == target);
-            ensure!(
-                !same,
-                "{} is an input, or another output: choose a different name",
-                path.display()
-            );
+            ensure!(!same, "{} is an input, or another output: choose a different name", path.display());
         }
         match fs::metadata(&target) {
             Ok(found) if found.is_dir() => bail!("{} is a folder: name a file in it", path.display()),

@@ -23,11 +23,9 @@ use crate::render::SmokeRenderStats;
 
 /// Arguments of `smoke render`.
 #[derive(Args, Debug)]
-#[command(
-    after_help = "Example:\n  smoke render plume.smoke -o plume.exr --scene scene.json --scattering single\n\n\
+#[command(after_help = "Example:\n  smoke render plume.smoke -o plume.exr --scene scene.json --scattering single\n\n\
     An EXR holds linear media radiance without background in R, G, B and 1 - transmittance in A; a PNG holds the same \
-    over black, sRGB-encoded, without tone mapping."
-)]
+    over black, sRGB-encoded, without tone mapping.")]
 pub struct RenderArgs {
     /// The smoke: a .smoke bundle; it overrides the scene's `density`
     input: PathBuf,
@@ -88,9 +86,7 @@ enum Scattering {
 }
 
 fn parse_size(text: &str) -> Result<[u32; 2], String> {
-    let sides = text
-        .split_once(['x', 'X'])
-        .and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+    let sides = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
     match sides {
         Some([width, height]) if (1..=8192).contains(&width) && (1..=8192).contains(&height) => Ok([width, height]),
         _ => Err("a size is WIDTHxHEIGHT in pixels, each 1 to 8192: 320x240".into()),
@@ -149,18 +145,10 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     }
     let inputs = [args.input.as_path(), args.scene.as_path()];
     let output = OutputFile::prepare(&args.output, &inputs)?;
-    let stats_file = args
-        .stats
-        .as_deref()
-        .map(|path| OutputFile::prepare(path, &inputs))
-        .transpose()?;
+    let stats_file = args.stats.as_deref().map(|path| OutputFile::prepare(path, &inputs)).transpose()?;
     let animation = read_bundle(&args.input)?;
     let frame_count = animation.frames.len() as u32;
-    ensure!(
-        args.frame < frame_count,
-        "frame {} of a bundle that has {frame_count}, counted from 0",
-        args.frame
-    );
+    ensure!(args.frame < frame_count, "frame {} of a bundle that has {frame_count}, counted from 0", args.frame);
 
     let size = args.size.unwrap_or(scene.camera.size);
     let rays = args.spp.isqrt();
@@ -240,49 +228,26 @@ fn average(fine: &[[f32; 4]], [width, height]: [u32; 2], rays: u32) -> Vec<[f32;
 /// What to do, of what was asked for.
 fn choose(args: &RenderArgs) -> anyhow::Result<(Choice<Method>, Choice<Scattering>)> {
     let method = match args.method {
-        Method::Auto => Choice {
-            asked: Method::Auto,
-            used: Method::Rbf,
-            why: "the input is a bundle",
-        },
-        Method::Rbf => Choice {
-            asked: Method::Rbf,
-            used: Method::Rbf,
-            why: "asked for",
-        },
+        Method::Auto => Choice { asked: Method::Auto, used: Method::Rbf, why: "the input is a bundle" },
+        Method::Rbf => Choice { asked: Method::Rbf, used: Method::Rbf, why: "asked for" },
         other => {
-            let name = other
-                .to_possible_value()
-                .map(|value| value.get_name().to_owned())
-                .unwrap_or_default();
+            let name = other.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default();
             bail!("--method {name} is not available yet: use rbf")
         }
     };
     let scattering = match args.scattering {
-        Scattering::Auto => Choice {
-            asked: Scattering::Auto,
-            used: Scattering::Single,
-            why: "single scattering is what is available",
-        },
-        Scattering::Single => Choice {
-            asked: Scattering::Single,
-            used: Scattering::Single,
-            why: "asked for",
-        },
+        Scattering::Auto => {
+            Choice { asked: Scattering::Auto, used: Scattering::Single, why: "single scattering is what is available" }
+        }
+        Scattering::Single => Choice { asked: Scattering::Single, used: Scattering::Single, why: "asked for" },
         Scattering::Multiple => bail!("--scattering multiple is not available yet: use single"),
     };
     Ok((method, scattering))
 }
 
 fn read_bundle(path: &Path) -> anyhow::Result<SmokeAnimation> {
-    let is_density = path
-        .extension()
-        .is_some_and(|e| e.eq_ignore_ascii_case("vdb") || e.eq_ignore_ascii_case("npy"));
-    ensure!(
-        !is_density,
-        "{} is a density file: bake it first (smoke bake {0} -o OUT.smoke)",
-        path.display()
-    );
+    let is_density = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("vdb") || e.eq_ignore_ascii_case("npy"));
+    ensure!(!is_density, "{} is a density file: bake it first (smoke bake {0} -o OUT.smoke)", path.display());
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     bundle::read(&bytes).with_context(|| path.display().to_string())
 }
@@ -304,15 +269,8 @@ fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation
             SmokeEnvironment::equirect(image, 1.0)
         }
         lobes => {
-            let coefficients = lobes
-                .coefficients()
-                .expect("lobes have coefficients")
-                .0
-                .map(|c| c.as_vec3());
-            SmokeEnvironment::Coefficients {
-                coefficients,
-                intensity: 1.0,
-            }
+            let coefficients = lobes.coefficients().expect("lobes have coefficients").0.map(|c| c.as_vec3());
+            SmokeEnvironment::Coefficients { coefficients, intensity: 1.0 }
         }
     };
     let animation = world.resource_mut::<Assets<SmokeAnimation>>().add(animation);
@@ -329,27 +287,18 @@ fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation
     ));
 
     let camera = &scene.camera;
-    let projection = PerspectiveProjection {
-        fov: camera.fov_y_deg.to_radians() as f32,
-        near: 1e-3,
-        ..default()
-    };
+    let projection = PerspectiveProjection { fov: camera.fov_y_deg.to_radians() as f32, near: 1e-3, ..default() };
     let target = headless.target();
     headless.app.world_mut().spawn((
         Camera3d::default(),
-        Camera {
-            clear_color: ClearColorConfig::Custom(Color::NONE),
-            ..default()
-        },
+        Camera { clear_color: ClearColorConfig::Custom(Color::NONE), ..default() },
         target,
         Hdr,
         Msaa::Off,
         Tonemapping::None,
         DebandDither::Disabled,
         // Exposure is 1 / (1.2 · 2^ev100): this makes it 1.
-        Exposure {
-            ev100: -(1.2_f32.log2()),
-        },
+        Exposure { ev100: -(1.2_f32.log2()) },
         Projection::Perspective(projection),
         Transform::from_translation(camera.eye.as_vec3()).looking_at(camera.target.as_vec3(), Vec3::Y),
     ));
@@ -358,34 +307,19 @@ fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation
 
 /// A latitude-longitude image, HDR or EXR, as linear floats.
 fn read_equirect(path: &Path) -> anyhow::Result<Image> {
-    let is_exr = path
-        .extension()
-        .is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
+    let is_exr = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
     let ([width, height], rgb) = if is_exr {
         let image = ExrImage::read(path)?;
         (image.size.map(|side| side as u32), image.rgb()?)
     } else {
-        let image = image::open(path)
-            .with_context(|| format!("cannot read {}", path.display()))?
-            .into_rgb32f();
-        (
-            [image.width(), image.height()],
-            image.pixels().map(|pixel| pixel.0).collect(),
-        )
+        let image = image::open(path).with_context(|| format!("cannot read {}", path.display()))?.into_rgb32f();
+        ([image.width(), image.height()], image.pixels().map(|pixel| pixel.0).collect())
     };
     let finite = rgb.iter().flatten().all(|value| value.is_finite());
     ensure!(finite, "{} has pixels that are not finite", path.display());
-    let data: Vec<u8> = rgb
-        .iter()
-        .flat_map(|&[r, g, b]| [r, g, b, 1.0])
-        .flat_map(f32::to_le_bytes)
-        .collect();
+    let data: Vec<u8> = rgb.iter().flat_map(|&[r, g, b]| [r, g, b, 1.0]).flat_map(f32::to_le_bytes).collect();
     Ok(Image::new(
-        Extent3d {
-            width,
-            height,
-            depth_or_array_layers: 1,
-        },
+        Extent3d { width, height, depth_or_array_layers: 1 },
         TextureDimension::D2,
         data,
         TextureFormat::Rgba32Float,
@@ -413,11 +347,8 @@ impl PictureKind {
             Self::Exr => encode_rgba(width as usize, height as usize, pixels),
             Self::Png => {
                 let encode = |linear: f32| {
-                    let srgb = if linear <= 0.003_130_8 {
-                        12.92 * linear
-                    } else {
-                        1.055 * linear.powf(1.0 / 2.4) - 0.055
-                    };
+                    let srgb =
+                        if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
                     (255.0 * srgb).round().clamp(0.0, 255.0) as u8
                 };
                 let bytes = pixels.iter().flat_map(|&[r, g, b, _]| [r, g, b].map(encode)).collect();
@@ -435,13 +366,7 @@ impl PictureKind {
 fn pass_stats(counts: &[[u32; SmokeRenderStats::PASSES.len()]], diagnostics: &DiagnosticsStore) -> Vec<PassStats> {
     let times = |name: &str| -> Vec<f64> {
         let path = DiagnosticPath::new(format!("render/{name}/elapsed_gpu"));
-        diagnostics
-            .get(&path)
-            .map(Diagnostic::values)
-            .into_iter()
-            .flatten()
-            .copied()
-            .collect()
+        diagnostics.get(&path).map(Diagnostic::values).into_iter().flatten().copied().collect()
     };
     (0..)
         .zip(SmokeRenderStats::PASSES)
@@ -451,12 +376,7 @@ fn pass_stats(counts: &[[u32; SmokeRenderStats::PASSES.len()]], diagnostics: &Di
                 Some((first, rest)) => (Some(*first), rest.to_vec()),
                 None => (None, Vec::new()),
             };
-            PassStats {
-                name,
-                dispatches,
-                first_ms,
-                steady_ms: median(rest),
-            }
+            PassStats { name, dispatches, first_ms, steady_ms: median(rest) }
         })
         .collect()
 }

@@ -94,9 +94,7 @@ impl Environment {
     /// rounding.
     pub fn coefficients(&self) -> Option<ShRgb> {
         let Self::Lobes { .. } = self else { return None };
-        Some(ShRgb::project(&SphereRule::new(4), |w| {
-            self.radiance(w).unwrap_or_default()
-        }))
+        Some(ShRgb::project(&SphereRule::new(4), |w| self.radiance(w).unwrap_or_default()))
     }
 }
 
@@ -163,9 +161,8 @@ fn environment(mut keys: Keys, warnings: &mut Vec<String>) -> anyhow::Result<Env
                 .list("lobes")?
                 .into_iter()
                 .map(|mut lobe| {
-                    let direction = lobe.required("dir", |v| {
-                        vector(v)?.try_normalize().ok_or_else(|| anyhow!("not a direction"))
-                    })?;
+                    let direction =
+                        lobe.required("dir", |v| vector(v)?.try_normalize().ok_or_else(|| anyhow!("not a direction")))?;
                     let rgb = lobe.required("rgb", color)?;
                     lobe.unused(&[], warnings);
                     Ok(Lobe { direction, rgb })
@@ -173,14 +170,9 @@ fn environment(mut keys: Keys, warnings: &mut Vec<String>) -> anyhow::Result<Env
                 .collect::<anyhow::Result<_>>()?,
         },
         "equirect" => Environment::Equirect(keys.folder.join(keys.required("path", text_value)?)),
-        "constant" => Environment::Lobes {
-            ambient: keys.required("rgb", color)?,
-            lobes: Vec::new(),
-        },
+        "constant" => Environment::Lobes { ambient: keys.required("rgb", color)?, lobes: Vec::new() },
         other => {
-            return Err(anyhow!(
-                "env.kind: \"{other}\" is none of \"lobes\", \"equirect\", \"constant\""
-            ));
+            return Err(anyhow!("env.kind: \"{other}\" is none of \"lobes\", \"equirect\", \"constant\""));
         }
     };
     keys.unused(&[], warnings);
@@ -198,20 +190,9 @@ struct Keys<'a> {
 
 impl<'a> Keys<'a> {
     fn new(prefix: &str, value: &'a Value, folder: &'a Path) -> anyhow::Result<Self> {
-        let named = if prefix.is_empty() {
-            "the file"
-        } else {
-            prefix.trim_end_matches('.')
-        };
-        let object = value
-            .as_object()
-            .ok_or_else(|| anyhow!("{named}: not an object {{…}}"))?;
-        Ok(Self {
-            prefix: prefix.into(),
-            object,
-            folder,
-            read: Vec::new(),
-        })
+        let named = if prefix.is_empty() { "the file" } else { prefix.trim_end_matches('.') };
+        let object = value.as_object().ok_or_else(|| anyhow!("{named}: not an object {{…}}"))?;
+        Ok(Self { prefix: prefix.into(), object, folder, read: Vec::new() })
     }
 
     fn optional<T>(
@@ -232,9 +213,7 @@ impl<'a> Keys<'a> {
 
     fn value(&mut self, key: &'static str) -> anyhow::Result<&'a Value> {
         self.read.push(key);
-        self.object
-            .get(key)
-            .ok_or_else(|| anyhow!("missing key {}{key}", self.prefix))
+        self.object.get(key).ok_or_else(|| anyhow!("missing key {}{key}", self.prefix))
     }
 
     fn nested(&mut self, key: &'static str) -> anyhow::Result<Keys<'a>> {
@@ -244,10 +223,7 @@ impl<'a> Keys<'a> {
 
     fn list(&mut self, key: &'static str) -> anyhow::Result<Vec<Keys<'a>>> {
         let name = format!("{}{key}", self.prefix);
-        let items = self
-            .value(key)?
-            .as_array()
-            .ok_or_else(|| anyhow!("{name}: not a list […]"))?;
+        let items = self.value(key)?.as_array().ok_or_else(|| anyhow!("{name}: not a list […]"))?;
         let keys = |(i, item)| Keys::new(&format!("{name}[{i}]."), item, self.folder);
         items.iter().enumerate().map(keys).collect()
     }
@@ -255,21 +231,14 @@ impl<'a> Keys<'a> {
     /// Warns of every key that nobody asked for.
     fn unused(&self, planned: &[&str], warnings: &mut Vec<String>) {
         for key in self.object.keys().filter(|key| !self.read.contains(&key.as_str())) {
-            let problem = if planned.contains(&key.as_str()) {
-                "not supported yet"
-            } else {
-                "unknown key"
-            };
+            let problem = if planned.contains(&key.as_str()) { "not supported yet" } else { "unknown key" };
             warnings.push(format!("{}{key}: {problem}, ignored", self.prefix));
         }
     }
 }
 
 fn text_value(value: &Value) -> anyhow::Result<String> {
-    value
-        .as_str()
-        .map(String::from)
-        .ok_or_else(|| anyhow!("{value} is not a text"))
+    value.as_str().map(String::from).ok_or_else(|| anyhow!("{value} is not a text"))
 }
 
 fn number(value: &Value) -> anyhow::Result<f64> {

@@ -59,11 +59,7 @@ impl GridShape {
     /// The cell of a flat index: the inverse of [`index`](Self::index).
     pub fn cell(&self, index: usize) -> UVec3 {
         let [nx, ny] = [self.dims.x as usize, self.dims.y as usize];
-        UVec3::new(
-            (index % nx) as u32,
-            (index / nx % ny) as u32,
-            (index / (nx * ny)) as u32,
-        )
+        UVec3::new((index % nx) as u32, (index / nx % ny) as u32, (index / (nx * ny)) as u32)
     }
 
     /// The coarse grid on which optical depth is marched: cubes of `h = max(1, longest / 32)` fine cells a side
@@ -129,19 +125,8 @@ impl DensityGrid {
             .collect();
         let moved = offset.as_dvec3() + 0.5 * (shape.dims.as_dvec3() - self.shape.dims.as_dvec3());
         let center = self.placement.center + self.placement.voxel_size * moved;
-        let placement = Placement {
-            center,
-            ..self.placement
-        };
-        DensityGrid {
-            shape,
-            values,
-            placement,
-            source: SourceInfo {
-                index_min: min,
-                ..self.source.clone()
-            },
-        }
+        let placement = Placement { center, ..self.placement };
+        DensityGrid { shape, values, placement, source: SourceInfo { index_min: min, ..self.source.clone() } }
     }
 
     /// World length of the box's longest side.
@@ -190,14 +175,8 @@ mod tests {
     fn the_longest_side_is_one() {
         let shape = GridShape::new(UVec3::new(4, 8, 2));
         assert_eq!(shape.half_extent(), Vec3::new(0.25, 0.5, 0.125));
-        assert_eq!(
-            shape.center(UVec3::ZERO),
-            -shape.half_extent() + 0.5 * shape.cell_size()
-        );
-        assert_eq!(
-            shape.center(UVec3::new(3, 7, 1)),
-            shape.half_extent() - 0.5 * shape.cell_size()
-        );
+        assert_eq!(shape.center(UVec3::ZERO), -shape.half_extent() + 0.5 * shape.cell_size());
+        assert_eq!(shape.center(UVec3::new(3, 7, 1)), shape.half_extent() - 0.5 * shape.cell_size());
     }
 
     #[test]
@@ -206,14 +185,8 @@ mod tests {
         let grid = DensityGrid {
             shape,
             values: (1..7).map(|v| v as f32).collect(),
-            placement: Placement {
-                center: DVec3::new(1.0, 2.0, 3.0),
-                voxel_size: 0.5,
-            },
-            source: SourceInfo {
-                index_min: IVec3::new(-1, 10, 5),
-                ..Default::default()
-            },
+            placement: Placement { center: DVec3::new(1.0, 2.0, 3.0), voxel_size: 0.5 },
+            source: SourceInfo { index_min: IVec3::new(-1, 10, 5), ..Default::default() },
         };
         let larger = grid.reframed(IVec3::new(-3, 9, 5), GridShape::new(UVec3::new(8, 5, 2)));
         assert_eq!(larger.values.iter().sum::<f32>(), 21.0);
@@ -231,11 +204,7 @@ mod tests {
         let coarse = |x, y, z| GridShape::new(UVec3::new(x, y, z)).coarse().dims;
         assert_eq!(coarse(128, 128, 128), UVec3::splat(32));
         assert_eq!(coarse(111, 222, 112), UVec3::new(16, 32, 17));
-        assert_eq!(
-            coarse(20, 32, 1),
-            UVec3::new(20, 32, 1),
-            "no finer than the grid itself"
-        );
+        assert_eq!(coarse(20, 32, 1), UVec3::new(20, 32, 1), "no finer than the grid itself");
         assert_eq!(coarse(33, 1, 32), UVec3::new(32, 1, 32));
     }
 }

@@ -21,29 +21,18 @@ pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
 /// cells. Negative densities are set to 0 and counted ([`SourceInfo::negative_voxels`]).
 pub fn read_npy(bytes: &[u8]) -> Result<DensityGrid, DensityError> {
     let (header, data) = Header::split(bytes)?;
-    let Header {
-        kind,
-        fortran_order,
-        dims,
-    } = header;
+    let Header { kind, fortran_order, dims } = header;
     let [nx, ny, nz] = dims;
-    let needed = dims
-        .iter()
-        .try_fold(kind.bytes() as u64, |product, &side| product.checked_mul(side));
+    let needed = dims.iter().try_fold(kind.bytes() as u64, |product, &side| product.checked_mul(side));
     if needed == Some(0) {
-        return Err(DensityError::Unsupported(format!(
-            "an array of shape ({nx}, {ny}, {nz}) has no cells"
-        )));
+        return Err(DensityError::Unsupported(format!("an array of shape ({nx}, {ny}, {nz}) has no cells")));
     }
     // Comparing first keeps a false shape from asking for memory.
     if needed.is_none_or(|needed| needed > data.len() as u64) {
         return Err(DensityError::Truncated("the array's values"));
     }
     if needed != Some(data.len() as u64) {
-        let extra = format!(
-            "{} bytes of values, more than a shape of ({nx}, {ny}, {nz}) holds",
-            data.len()
-        );
+        let extra = format!("{} bytes of values, more than a shape of ({nx}, {ny}, {nz}) holds", data.len());
         return Err(DensityError::Damaged(extra));
     }
     let (shape, mut values) = allocate(dims, 0.0, MAX_CELLS)?;
@@ -61,10 +50,7 @@ pub fn read_npy(bytes: &[u8]) -> Result<DensityGrid, DensityError> {
     Ok(DensityGrid {
         shape,
         values,
-        placement: Placement {
-            center: DVec3::ZERO,
-            voxel_size: 1.0 / f64::from(shape.longest()),
-        },
+        placement: Placement { center: DVec3::ZERO, voxel_size: 1.0 / f64::from(shape.longest()) },
         source: SourceInfo {
             active_voxels: shape.len() as u64,
             half: matches!(kind.float, Float::F16),
@@ -111,9 +97,7 @@ impl Header {
                 (u32::from_le_bytes(length), rest)
             }
             _ => {
-                return Err(DensityError::Unsupported(format!(
-                    "NumPy format version {major} is not known"
-                )));
+                return Err(DensityError::Unsupported(format!("NumPy format version {major} is not known")));
             }
         };
         let (text, data) = rest.split_at_checked(length as usize).ok_or_else(truncated)?;
@@ -139,9 +123,7 @@ impl Header {
                 text if text.starts_with("True") => true,
                 text if text.starts_with("False") => false,
                 _ => {
-                    return Err(DensityError::Damaged(
-                        "the NumPy header's \"fortran_order\" is no boolean".into(),
-                    ));
+                    return Err(DensityError::Damaged("the NumPy header's \"fortran_order\" is no boolean".into()));
                 }
             },
             dims: parse_shape(value("shape")?)?,
@@ -157,11 +139,7 @@ impl Kind {
                 "the array's elements are {kind}: save densities as 16-, 32- or 64-bit floats (array.astype('float32'))"
             ))
         };
-        let quote = text
-            .chars()
-            .next()
-            .filter(|c| matches!(c, '\'' | '"'))
-            .ok_or_else(|| unsupported("structures"))?;
+        let quote = text.chars().next().filter(|c| matches!(c, '\'' | '"')).ok_or_else(|| unsupported("structures"))?;
         let name = text[1..].split(quote).next().unwrap_or_default();
         let (big_endian, size) = match name.split_at_checked(2) {
             Some(("<f" | "=f" | "|f", size)) => (false, size),
@@ -207,16 +185,9 @@ impl Kind {
 
 /// A tuple of three whole numbers such as `(4, 5, 6)`.
 fn parse_shape(text: &str) -> Result<[u64; 3], DensityError> {
-    let inner = text
-        .strip_prefix('(')
-        .and_then(|text| text.split_once(')'))
-        .map(|(inner, _)| inner);
+    let inner = text.strip_prefix('(').and_then(|text| text.split_once(')')).map(|(inner, _)| inner);
     let inner = inner.ok_or_else(|| DensityError::Damaged("the NumPy header's \"shape\" is no tuple".into()))?;
-    let sides: Vec<&str> = inner
-        .split(',')
-        .map(str::trim)
-        .filter(|side| !side.is_empty())
-        .collect();
+    let sides: Vec<&str> = inner.split(',').map(str::trim).filter(|side| !side.is_empty()).collect();
     let [x, y, z] = sides[..] else {
         return Err(DensityError::Unsupported(format!(
             "the array has {} dimensions: densities need three, [x, y, z]",
@@ -224,8 +195,7 @@ fn parse_shape(text: &str) -> Result<[u64; 3], DensityError> {
         )));
     };
     let side = |text: &str| {
-        text.parse()
-            .map_err(|_| DensityError::Damaged(format!("the NumPy header's shape ({inner}) is no shape")))
+        text.parse().map_err(|_| DensityError::Damaged(format!("the NumPy header's shape ({inner}) is no shape")))
     };
     Ok([side(x)?, side(y)?, side(z)?])
 }

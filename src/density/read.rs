@@ -20,10 +20,7 @@ pub(super) const MAX_CELLS: u64 = 1 << 31;
 /// [`read_vdb`](super::read_vdb) and [`read_npy`](super::read_npy). Every error names the file.
 pub fn read(path: impl AsRef<Path>, grid: Option<&str>) -> Result<DensityGrid, DensityError> {
     let path = path.as_ref();
-    let bytes = std::fs::read(path).map_err(|source| DensityError::Io {
-        path: path.into(),
-        source,
-    })?;
+    let bytes = std::fs::read(path).map_err(|source| DensityError::Io { path: path.into(), source })?;
     let result = if bytes.starts_with(&vdb::MAGIC) {
         vdb::read_vdb(&bytes, grid)
     } else if bytes.starts_with(npy::MAGIC) {
@@ -31,23 +28,15 @@ pub fn read(path: impl AsRef<Path>, grid: Option<&str>) -> Result<DensityGrid, D
     } else {
         Err(DensityError::UnknownFormat)
     };
-    result.map_err(|source| DensityError::File {
-        path: path.into(),
-        source: source.into(),
-    })
+    result.map_err(|source| DensityError::File { path: path.into(), source: source.into() })
 }
 
 /// A box of `fill`ed cells, or an error where it would have more than `max_cells` or does not fit into memory.
 pub(super) fn allocate(dims: [u64; 3], fill: f32, max_cells: u64) -> Result<(GridShape, Vec<f32>), DensityError> {
     let [x, y, z] = dims;
     let too_large = || DensityError::TooLarge(x, y, z);
-    let cells = x
-        .checked_mul(y)
-        .and_then(|xy| xy.checked_mul(z))
-        .filter(|&cells| cells <= max_cells);
-    let cells = cells
-        .and_then(|cells| usize::try_from(cells).ok())
-        .ok_or_else(too_large)?;
+    let cells = x.checked_mul(y).and_then(|xy| xy.checked_mul(z)).filter(|&cells| cells <= max_cells);
+    let cells = cells.and_then(|cells| usize::try_from(cells).ok()).ok_or_else(too_large)?;
     let mut values = Vec::new();
     values.try_reserve_exact(cells).map_err(|_| too_large())?;
     values.resize(cells, fill);

@@ -39,11 +39,7 @@ impl Rbf {
     pub fn basis(&self, x: Vec3) -> f32 {
         let d2 = x.distance_squared(Vec3::from(self.center));
         let r2 = self.radius * self.radius;
-        if d2 < SUPPORT * SUPPORT * r2 {
-            (-d2 / r2).exp()
-        } else {
-            0.0
-        }
+        if d2 < SUPPORT * SUPPORT * r2 { (-d2 / r2).exp() } else { 0.0 }
     }
 }
 
@@ -66,11 +62,8 @@ impl RbfModel {
     /// with [`density`](Self::density) to rounding (a few 10⁻⁷ of the weights that meet in a cell).
     pub fn rasterize(&self, shape: GridShape) -> Vec<f32> {
         let mut values = vec![0.0; shape.len()];
-        let centers: [Vec<f32>; 3] = std::array::from_fn(|axis| {
-            (0..shape.dims[axis])
-                .map(|i| shape.center(UVec3::splat(i))[axis])
-                .collect()
-        });
+        let centers: [Vec<f32>; 3] =
+            std::array::from_fn(|axis| (0..shape.dims[axis]).map(|i| shape.center(UVec3::splat(i))[axis]).collect());
         for rbf in &self.rbfs {
             splat(rbf, shape, &centers, &mut values);
         }
@@ -89,10 +82,7 @@ fn splat(rbf: &Rbf, shape: GridShape, centers: &[Vec<f32>; 3], values: &mut [f32
         start..end
     });
     let distance2: [Vec<f32>; 3] = std::array::from_fn(|axis| {
-        centers[axis][ranges[axis].clone()]
-            .iter()
-            .map(|x| (x - rbf.center[axis]).powi(2))
-            .collect()
+        centers[axis][ranges[axis].clone()].iter().map(|x| (x - rbf.center[axis]).powi(2)).collect()
     });
     let inverse = 1.0 / (rbf.radius * rbf.radius);
     let gauss: [Vec<f32>; 3] =

@@ -10,17 +10,12 @@ fn rbf(center: [f32; 3], radius: f32, weight: f32) -> Rbf {
 fn models() -> impl Strategy<Value = Vec<Rbf>> {
     let coordinate = -0.5f32..0.5;
     let one = (prop::array::uniform3(coordinate), 0.015f32..0.09, 0.01f32..1.0);
-    prop::collection::vec(
-        one.prop_map(|(center, radius, weight)| rbf(center, radius, weight)),
-        0..12,
-    )
+    prop::collection::vec(one.prop_map(|(center, radius, weight)| rbf(center, radius, weight)), 0..12)
 }
 
 #[test]
 fn a_gaussian_by_hand() {
-    let model = RbfModel {
-        rbfs: vec![rbf([0.1, 0.0, -0.2], 0.05, 2.0)],
-    };
+    let model = RbfModel { rbfs: vec![rbf([0.1, 0.0, -0.2], 0.05, 2.0)] };
     assert_eq!(model.density(Vec3::new(0.1, 0.0, -0.2)), 2.0);
     // One radius away: 2/e.
     assert!((model.density(Vec3::new(0.15, 0.0, -0.2)) - 0.735_759).abs() < 1e-5);
@@ -99,9 +94,7 @@ proptest! {
 
 #[test]
 fn a_bin_out_of_reach_lists_the_nearest() {
-    let rbfs: Vec<Rbf> = (0..8)
-        .map(|i| rbf([-0.49 + 0.01 * i as f32, 0.0, 0.0], 0.015, 1.0))
-        .collect();
+    let rbfs: Vec<Rbf> = (0..8).map(|i| rbf([-0.49 + 0.01 * i as f32, 0.0, 0.0], 0.015, 1.0)).collect();
     let bins = RbfBins::new(&rbfs, GridShape::new(UVec3::new(64, 8, 8)));
     assert_eq!(bins.at(UVec3::new(63, 0, 0)), [4, 5, 6, 7]);
     // Cells in the padding use the nearest bin.

@@ -18,10 +18,7 @@ pub fn coarse(fine: &Grid) -> Grid {
             .map(|i| {
                 let low = (f64::from(i) - 0.5 * f64::from(coarse_dim)) * h + 0.5 * f64::from(fine_dim);
                 let overlap = |j: u32| (low + h).min(f64::from(j) + 1.0) - low.max(f64::from(j));
-                (0..fine_dim)
-                    .map(|j| (j, overlap(j)))
-                    .filter(|&(_, overlap)| overlap > 0.0)
-                    .collect()
+                (0..fine_dim).map(|j| (j, overlap(j))).filter(|&(_, overlap)| overlap > 0.0).collect()
             })
             .collect()
     });
@@ -50,10 +47,7 @@ mod tests {
 
     fn grid(dims: [u32; 3], f: impl Fn(UVec3) -> f64) -> Grid {
         let shape = GridShape::new(dims.into());
-        Grid {
-            shape,
-            values: (0..shape.len()).map(|i| f(shape.cell(i))).collect(),
-        }
+        Grid { shape, values: (0..shape.len()).map(|i| f(shape.cell(i))).collect() }
     }
 
     fn noise(cell: UVec3) -> f64 {
@@ -103,10 +97,7 @@ mod tests {
             let x = center(coarse.shape, cell).x;
             // In z, 14·1.5 = 21 cells cover 20: the outermost are full to 2/3.
             let share = if cell.z == 0 || cell.z == 13 { 2.0 / 3.0 } else { 1.0 };
-            assert!(
-                (value - share * x).abs() < 0.125 / 1.5 / 48.0 + 1e-14,
-                "{cell}: {value} for {x}"
-            );
+            assert!((value - share * x).abs() < 0.125 / 1.5 / 48.0 + 1e-14, "{cell}: {value} for {x}");
         }
         // With a whole factor it is exact.
         let shape = GridShape::new(UVec3::splat(64));

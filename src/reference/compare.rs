@@ -58,19 +58,10 @@ pub fn image_error<const C: usize>(
     reference: [&[[f32; C]]; 2],
     alpha: &[f32],
 ) -> Result<ImageError, CompareError> {
-    let images = [
-        ("image", x[0]),
-        ("image", x[1]),
-        ("reference", reference[0]),
-        ("reference", reference[1]),
-    ];
+    let images = [("image", x[0]), ("image", x[1]), ("reference", reference[0]), ("reference", reference[1])];
     for (image, pixels) in images {
         if pixels.len() != alpha.len() {
-            return Err(CompareError::Size {
-                image,
-                found: pixels.len(),
-                expected: alpha.len(),
-            });
+            return Err(CompareError::Size { image, found: pixels.len(), expected: alpha.len() });
         }
     }
     let (mut difference, mut power, mut pixels) = (0.0, 0.0, 0);
@@ -95,11 +86,7 @@ pub fn image_error<const C: usize>(
     }
     let difference = difference.max(0.0);
     let rms = (difference / (pixels * C) as f64).sqrt();
-    Ok(ImageError {
-        relative: (difference / power).sqrt(),
-        rms,
-        pixels,
-    })
+    Ok(ImageError { relative: (difference / power).sqrt(), rms, pixels })
 }
 
 #[cfg(test)]
@@ -144,42 +131,21 @@ mod tests {
         assert!((error * error - 0.0725 / 1.0625).abs() < 0.005, "{error}");
         // Better than the noise can tell is zero, not NaN.
         let (low, high) = ([[0.5f32]], [[1.5f32]]);
-        assert_eq!(
-            image_error([&[[1.0]], &[[1.0]]], [&low, &high], &[1.0])
-                .unwrap()
-                .relative,
-            0.0
-        );
+        assert_eq!(image_error([&[[1.0]], &[[1.0]]], [&low, &high], &[1.0]).unwrap().relative, 0.0);
     }
 
     #[test]
     fn bad_input_is_named() {
         let (one, two) = ([[1.0f32]], [[1.0f32]; 2]);
-        let size = CompareError::Size {
-            image: "reference",
-            found: 2,
-            expected: 1,
-        };
+        let size = CompareError::Size { image: "reference", found: 2, expected: 1 };
         assert_eq!(image_error([&one, &one], [&one, &two], &[1.0]), Err(size));
-        assert_eq!(
-            image_error([&one, &one], [&one, &one], &[0.0]),
-            Err(CompareError::NoSmoke)
-        );
-        assert_eq!(
-            image_error([&one, &one], [&one, &[[0.0]]], &[1.0]),
-            Err(CompareError::Black)
-        );
+        assert_eq!(image_error([&one, &one], [&one, &one], &[0.0]), Err(CompareError::NoSmoke));
+        assert_eq!(image_error([&one, &one], [&one, &[[0.0]]], &[1.0]), Err(CompareError::Black));
         let nan = [[1.0, f32::NAN]; 1];
         let fine = [[1.0f32, 1.0]; 1];
-        let error = CompareError::NotFinite {
-            image: "image",
-            pixel: 0,
-        };
+        let error = CompareError::NotFinite { image: "image", pixel: 0 };
         assert_eq!(image_error([&nan, &fine], [&fine, &fine], &[1.0]), Err(error));
         // What is not smoke may be anything.
-        assert_eq!(
-            image_error([&nan, &nan], [&fine, &fine], &[0.0]),
-            Err(CompareError::NoSmoke)
-        );
+        assert_eq!(image_error([&nan, &nan], [&fine, &fine], &[0.0]), Err(CompareError::NoSmoke));
     }
 }

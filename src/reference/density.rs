@@ -27,11 +27,7 @@ pub fn density(rbfs: &[Rbf], residual: impl Fn(UVec3) -> f64 + Sync, shape: Grid
 fn gaussian(rbf: &Rbf, x: DVec3) -> f64 {
     let radius = f64::from(rbf.radius);
     let u_squared = (x - rbf_center(rbf)).length_squared() / (radius * radius);
-    if u_squared < f64::from(SUPPORT * SUPPORT) {
-        f64::from(rbf.weight) * (-u_squared).exp()
-    } else {
-        0.0
-    }
+    if u_squared < f64::from(SUPPORT * SUPPORT) { f64::from(rbf.weight) * (-u_squared).exp() } else { 0.0 }
 }
 
 #[cfg(test)]
@@ -43,11 +39,7 @@ mod tests {
     #[test]
     fn one_gaussian() {
         let shape = GridShape::new(UVec3::new(48, 64, 40));
-        let rbf = Rbf {
-            center: [0.03, -0.07, 0.02],
-            radius: 0.09,
-            weight: 1.7,
-        };
+        let rbf = Rbf { center: [0.03, -0.07, 0.02], radius: 0.09, weight: 1.7 };
         let grid = density(&[rbf], |_| 0.0, shape);
         let cell = UVec3::new(20, 25, 22);
         // By hand: x = (cell + 0.5 − dims/2)/64 = (−7, −13, 5)/128.
@@ -64,11 +56,7 @@ mod tests {
     #[test]
     fn gaussians_and_residual_add_and_never_go_below_zero() {
         let shape = GridShape::new(UVec3::new(8, 8, 8));
-        let rbf = |x, weight| Rbf {
-            center: [x, 0.0, 0.0],
-            radius: 0.1,
-            weight,
-        };
+        let rbf = |x, weight| Rbf { center: [x, 0.0, 0.0], radius: 0.1, weight };
         let grid = density(&[rbf(0.1, 1.0), rbf(-0.2, 0.5)], |cell| f64::from(cell.x) - 3.0, shape);
         for (index, &value) in grid.values.iter().enumerate() {
             let cell = shape.cell(index);

@@ -68,16 +68,9 @@ mod tests {
         let width = 2 * height;
         let texels: Vec<_> = (0..width * height)
             .map(|i| {
-                let (u, v) = (
-                    ((i % width) as f64 + 0.5) / width as f64,
-                    ((i / width) as f64 + 0.5) / height as f64,
-                );
+                let (u, v) = (((i % width) as f64 + 0.5) / width as f64, ((i / width) as f64 + 0.5) / height as f64);
                 let (phi, theta) = (2.0 * PI * u, PI * v);
-                f(DVec3::new(
-                    phi.sin() * theta.sin(),
-                    theta.cos(),
-                    -phi.cos() * theta.sin(),
-                ))
+                f(DVec3::new(phi.sin() * theta.sin(), theta.cos(), -phi.cos() * theta.sin()))
             })
             .collect();
         equirect(width, &texels)
@@ -85,11 +78,7 @@ mod tests {
 
     fn cubemap_of(size: usize, f: impl Fn(DVec3) -> DVec3) -> ShRgb {
         let faces: Vec<Vec<DVec3>> = (0..6)
-            .map(|face| {
-                (0..size * size)
-                    .map(|i| f(cubemap_direction(size, face, i % size, i / size).0))
-                    .collect()
-            })
+            .map(|face| (0..size * size).map(|i| f(cubemap_direction(size, face, i % size, i / size).0)).collect())
             .collect();
         cubemap(size, core::array::from_fn(|face| faces[face].as_slice()))
     }
@@ -103,12 +92,7 @@ mod tests {
     /// The scenes' lobe (1+t)(t+0.3)²/3.38 = (t³ + 1.6t² + 0.69t + 0.09)/3.38, with its factors by hand:
     /// t² = (1 + 2 P2)/3, t³ = (3 P1 + 2 P3)/5, and 2π∫P_l² = 4π/(2l+1).
     fn lobe(dir: DVec3, rgb: DVec3) -> (impl Fn(DVec3) -> DVec3, ShRgb) {
-        let factors = [
-            0.09 + 1.6 / 3.0,
-            (0.69 + 0.6) / 3.0,
-            1.6 * 2.0 / 3.0 / 5.0,
-            2.0 / 5.0 / 7.0,
-        ];
+        let factors = [0.09 + 1.6 / 3.0, (0.69 + 0.6) / 3.0, 1.6 * 2.0 / 3.0 / 5.0, 2.0 / 5.0 / 7.0];
         let f = move |w: DVec3| {
             let t = w.dot(dir);
             rgb * ((1.0 + t) * (t + 0.3) * (t + 0.3) / 3.38)
@@ -136,16 +120,10 @@ mod tests {
         // Midpoint rules: second order in the texel's size, and four times better with twice the resolution.
         let error = |sh: ShRgb| {
             let difference = sh + expected * -1.0;
-            difference
-                .0
-                .iter()
-                .fold(0.0f64, |worst, c| worst.max(c.abs().max_element()))
+            difference.0.iter().fold(0.0f64, |worst, c| worst.max(c.abs().max_element()))
         };
         for (coarse, fine) in [
-            (
-                equirect_of(64, |w| up(w) + side(w)),
-                equirect_of(128, |w| up(w) + side(w)),
-            ),
+            (equirect_of(64, |w| up(w) + side(w)), equirect_of(128, |w| up(w) + side(w))),
             (cubemap_of(32, |w| up(w) + side(w)), cubemap_of(64, |w| up(w) + side(w))),
         ] {
             let (coarse, fine) = (error(coarse), error(fine));
@@ -157,13 +135,7 @@ mod tests {
     #[test]
     fn cubemap_agrees_with_equirect() {
         // No polynomial, and nothing symmetric about it.
-        let f = |w: DVec3| {
-            DVec3::new(
-                (2.0 * w.x + w.y).exp(),
-                (3.0 * w.z).cos() + 1.0 - w.y,
-                (w.x - w.z).powi(2),
-            )
-        };
+        let f = |w: DVec3| DVec3::new((2.0 * w.x + w.y).exp(), (3.0 * w.z).cos() + 1.0 - w.y, (w.x - w.z).powi(2));
         assert_close(&cubemap_of(128, f), &equirect_of(256, f), 2e-3);
     }
 
@@ -189,13 +161,8 @@ mod tests {
         let centers = [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, -DVec3::Z, DVec3::Z];
         let (dark, bright) = (vec![DVec3::ZERO; 16], vec![DVec3::ONE; 16]);
         for (face, center) in centers.into_iter().enumerate() {
-            let sh = cubemap(
-                4,
-                core::array::from_fn(|i| if i == face { bright.as_slice() } else { &dark }),
-            );
-            let brightest = fibonacci(500)
-                .max_by(|a, b| sh.evaluate(*a).x.total_cmp(&sh.evaluate(*b).x))
-                .unwrap();
+            let sh = cubemap(4, core::array::from_fn(|i| if i == face { bright.as_slice() } else { &dark }));
+            let brightest = fibonacci(500).max_by(|a, b| sh.evaluate(*a).x.total_cmp(&sh.evaluate(*b).x)).unwrap();
             assert!(brightest.dot(center) > 0.95, "{face}: {brightest}");
         }
         // The top left and top right corners of each face, from the table of the Vulkan specification with z flipped.

@@ -22,9 +22,9 @@ use glam::{DVec3, IVec3, UVec3, Vec3};
 use crate::{density::GridShape, rbf::Rbf};
 
 /// Distance of the probes from the centre of their RBF, in radii.
-pub const RHO: f64 = 1.1;
+pub const RHO: f64 = 1.0;
 /// Directions in which a probe looks for light.
-pub const DIRECTIONS: usize = 32;
+pub const DIRECTIONS: usize = 64;
 /// Samples of the coarse density along each of them.
 pub const MARCH_STEPS: usize = 20;
 
@@ -113,11 +113,7 @@ pub struct Ray {
 impl Ray {
     /// An unobstructed ray; `dir` is a unit vector.
     pub fn new(origin: DVec3, dir: DVec3) -> Self {
-        Self {
-            origin,
-            dir,
-            t_max: f64::INFINITY,
-        }
+        Self { origin, dir, t_max: f64::INFINITY }
     }
 
     /// The point at distance `t`.
@@ -153,10 +149,7 @@ mod tests {
     fn sampling_is_trilinear_and_zero_outside() {
         let shape = GridShape::new(UVec3::new(5, 4, 3));
         let linear = |x: DVec3| 2.0 + x.x - 3.0 * x.y + 0.5 * x.z + 4.0 * x.x * x.y * x.z;
-        let grid = Grid {
-            shape,
-            values: (0..60).map(|i| linear(center(shape, shape.cell(i)))).collect(),
-        };
+        let grid = Grid { shape, values: (0..60).map(|i| linear(center(shape, shape.cell(i)))).collect() };
         // Within the outermost centres (0.4, 0.3, 0.2) a trilinear function is reproduced.
         for x in [DVec3::ZERO, DVec3::new(0.39, -0.29, 0.05), DVec3::new(-0.4, 0.3, -0.2)] {
             assert!((grid.sample(x) - linear(x)).abs() < 1e-14);
@@ -178,11 +171,7 @@ mod tests {
         assert_eq!(ray.clip(half), Some((1.5, 2.5)));
         assert_eq!(Ray { t_max: 2.0, ..ray }.clip(half), Some((1.5, 2.0)));
         assert_eq!(Ray { t_max: 1.0, ..ray }.clip(half), None);
-        assert_eq!(
-            Ray { t_max: 1.5, ..ray }.clip(half),
-            None,
-            "a point is no stretch to march"
-        );
+        assert_eq!(Ray { t_max: 1.5, ..ray }.clip(half), None, "a point is no stretch to march");
         assert_eq!(Ray::new(DVec3::ZERO, -DVec3::Y).clip(half), Some((0.0, 0.25)));
         assert_eq!(Ray::new(DVec3::new(-2.0, 0.3, 0.0), DVec3::X).clip(half), None);
         assert_eq!(Ray::new(DVec3::new(2.0, 0.0, 0.0), DVec3::X).clip(half), None);

@@ -48,10 +48,7 @@ pub fn outgoing(rbfs: &[Rbf], source_radiance: &[[ShRgb; 4]], viewer: Viewer) ->
 
 /// J̄ = mean J_i and G = 3/(4ρr) Σ J_i t_iᵀ.
 fn linear_fit(values: [DVec3; 4], radius: f64) -> Outgoing {
-    let mut fit = Outgoing {
-        mean: DVec3::ZERO,
-        gradient: DMat3::ZERO,
-    };
+    let mut fit = Outgoing { mean: DVec3::ZERO, gradient: DMat3::ZERO };
     for (value, t) in values.into_iter().zip(TETRAHEDRON) {
         fit.mean += value / 4.0;
         let outer = DMat3::from_cols(value * t.x, value * t.y, value * t.z);
@@ -66,22 +63,15 @@ mod tests {
     use crate::reference::rbf_center;
     use crate::sh::henyey_greenstein_factors;
 
-    const RBF: Rbf = Rbf {
-        center: [0.1, -0.2, 0.05],
-        radius: 0.125,
-        weight: 1.0,
-    };
+    const RBF: Rbf = Rbf { center: [0.1, -0.2, 0.05], radius: 0.125, weight: 1.0 };
 
     #[test]
     fn uniform_light_is_uniform() {
         // Under constant light the phase function does not show, whatever g and the viewer.
         let light = ShRgb::constant(DVec3::new(1.0, 0.5, 0.25)).convolve(&henyey_greenstein_factors(0.6));
-        for viewer in [
-            Viewer::Perspective {
-                eye: DVec3::new(1.0, 2.0, 3.0),
-            },
-            Viewer::Orthographic { forward: DVec3::X },
-        ] {
+        for viewer in
+            [Viewer::Perspective { eye: DVec3::new(1.0, 2.0, 3.0) }, Viewer::Orthographic { forward: DVec3::X }]
+        {
             let found = outgoing(&[RBF], &[[light; 4]], viewer)[0];
             assert!((found.mean - DVec3::new(1.0, 0.5, 0.25)).length() < 1e-15);
             assert!((found.gradient * DVec3::ONE).length() < 1e-13);
@@ -91,11 +81,8 @@ mod tests {
     #[test]
     fn linear_fields_are_fitted_exactly() {
         let mean = DVec3::new(2.0, 1.0, 0.5);
-        let gradient = DMat3::from_cols(
-            DVec3::new(1.0, 2.0, 3.0),
-            DVec3::new(-1.0, 0.5, 0.0),
-            DVec3::new(0.0, 4.0, -2.0),
-        );
+        let gradient =
+            DMat3::from_cols(DVec3::new(1.0, 2.0, 3.0), DVec3::new(-1.0, 0.5, 0.0), DVec3::new(0.0, 4.0, -2.0));
         let field = |x: DVec3| mean + gradient * (x - rbf_center(&RBF));
         let probes = probes(&RBF).map(|p| ShRgb::constant(field(p)));
         let found = outgoing(&[RBF], &[probes], Viewer::Orthographic { forward: DVec3::Y })[0];
@@ -110,11 +97,7 @@ mod tests {
     #[test]
     fn probes_are_seen_along_their_own_lines() {
         // A lobe linear in v: J(v) = v.z, i.e. z/y2 = √(4π/3). From far the four lines are parallel.
-        let lobe = ShRgb::zonal(
-            DVec3::Z,
-            &[0.0, 4.0 * core::f64::consts::PI / 3.0, 0.0, 0.0],
-            DVec3::ONE,
-        );
+        let lobe = ShRgb::zonal(DVec3::Z, &[0.0, 4.0 * core::f64::consts::PI / 3.0, 0.0, 0.0], DVec3::ONE);
         let eye = DVec3::new(0.1, -0.2, 1.05);
         let near = outgoing(&[RBF], &[[lobe; 4]], Viewer::Perspective { eye })[0];
         let expected = probes(&RBF).map(|p| (p - eye).z / (p - eye).length());

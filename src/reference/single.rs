@@ -27,10 +27,7 @@ pub fn single_scattering(
     let lights: Vec<(DVec3, DVec3)> = fibonacci(directions)
         .map(|dir| {
             let phase = henyey_greenstein(dir.dot(ray.dir), medium.g);
-            (
-                dir,
-                environment(dir) * medium.albedo * (phase * 4.0 * PI / directions as f64),
-            )
+            (dir, environment(dir) * medium.albedo * (phase * 4.0 * PI / directions as f64))
         })
         .collect();
     march_with(density.shape, ray, medium.sigma, |x| {
@@ -51,10 +48,7 @@ fn column(density: &Grid, x: DVec3, dir: DVec3) -> f64 {
     };
     let steps = ((end - start) / (0.5 * cell_size(density.shape))).ceil();
     let step = (end - start) / steps;
-    (0..steps as usize)
-        .map(|i| density.sample(ray.at(start + (i as f64 + 0.5) * step)))
-        .sum::<f64>()
-        * step
+    (0..steps as usize).map(|i| density.sample(ray.at(start + (i as f64 + 0.5) * step))).sum::<f64>() * step
 }
 
 #[cfg(test)]
@@ -68,20 +62,13 @@ mod tests {
     };
     use glam::UVec3;
 
-    const MEDIUM: Medium = Medium {
-        sigma: 6.0,
-        albedo: DVec3::new(0.9, 0.6, 0.3),
-        g: 0.5,
-    };
+    const MEDIUM: Medium = Medium { sigma: 6.0, albedo: DVec3::new(0.9, 0.6, 0.3), g: 0.5 };
 
     #[test]
     fn thin_smoke_scatters_albedo_times_optical_depth() {
         // Nothing is attenuated: L = Ω τ under unit light, phase integrating to 1 over 512 directions within 1e-3.
         let shape = GridShape::new(UVec3::splat(16));
-        let grid = Grid {
-            shape,
-            values: vec![1.0; shape.len()],
-        };
+        let grid = Grid { shape, values: vec![1.0; shape.len()] };
         let medium = Medium { sigma: 1e-5, ..MEDIUM };
         let ray = Ray::new(DVec3::new(0.01, 0.02, 3.0), -DVec3::Z);
         let (radiance, transmittance) = single_scattering(&grid, &medium, &ray, 512, |_| DVec3::ONE);
@@ -92,11 +79,7 @@ mod tests {
     #[test]
     fn a_gaussian_matches_its_exact_optical_depths() {
         // The same integral with closed-form optical depths and a finer march.
-        let rbf = Rbf {
-            center: [0.0, 0.0, 0.0],
-            radius: 0.15,
-            weight: 1.0,
-        };
+        let rbf = Rbf { center: [0.0, 0.0, 0.0], radius: 0.15, weight: 1.0 };
         let grid = density(&[rbf], |_| 0.0, GridShape::new(UVec3::splat(32)));
         let environment = |w: DVec3| DVec3::new(1.0 + w.y, 1.0, 1.0 - w.x) * (0.5 + 0.5 * w.z);
         let ray = Ray::new(DVec3::new(0.05, 0.03, -3.0), DVec3::Z);
@@ -115,10 +98,7 @@ mod tests {
         }
         let (radiance, alpha) = single_scattering(&grid, &MEDIUM, &ray, 128, environment);
         // Trilinear interpolation of a Gaussian of 4.8 cells: curvature · h²/8 per axis, within 1 %.
-        assert!(
-            ((radiance - expected) / expected).abs().max_element() < 0.01,
-            "{radiance} {expected}"
-        );
+        assert!(((radiance - expected) / expected).abs().max_element() < 0.01, "{radiance} {expected}");
         let exact = transmittance(depth(ray.at(0.0), ray.dir));
         assert!((alpha - exact).abs() < 0.005, "{alpha} {exact}");
         assert!(erf(0.5 / radius) > 0.999_99, "the box holds the Gaussian");
@@ -130,15 +110,8 @@ mod tests {
         let dir = fibonacci(1).next().unwrap();
         assert!((dir - DVec3::X).length() < 1e-15);
         let shape = GridShape::new(UVec3::splat(64));
-        let grid = Grid {
-            shape,
-            values: vec![1.0; shape.len()],
-        };
-        let medium = Medium {
-            sigma: 2.0,
-            albedo: DVec3::ONE,
-            g: 0.0,
-        };
+        let grid = Grid { shape, values: vec![1.0; shape.len()] };
+        let medium = Medium { sigma: 2.0, albedo: DVec3::ONE, g: 0.0 };
         let ray = Ray::new(DVec3::new(0.1, 0.0, -2.0), DVec3::Z);
         let (radiance, _) = single_scattering(&grid, &medium, &ray, 1, |_| DVec3::ONE);
         let expected = (-2.0 * 0.4f64).exp() * (1.0 - (-2f64).exp());

@@ -57,9 +57,7 @@ pub fn column(p: DVec3, dir: DVec3, coarse: &Grid) -> f64 {
         return 0.0;
     };
     let step = (end - start) / MARCH_STEPS as f64;
-    let sum: f64 = (0..MARCH_STEPS)
-        .map(|i| coarse.sample(ray.at(start + (i as f64 + 0.5) * step)))
-        .sum();
+    let sum: f64 = (0..MARCH_STEPS).map(|i| coarse.sample(ray.at(start + (i as f64 + 0.5) * step))).sum();
     sum * step
 }
 
@@ -76,18 +74,11 @@ mod tests {
 
     fn sky() -> ShRgb {
         ShRgb::constant(DVec3::new(0.4, 0.5, 0.7))
-            + ShRgb::zonal(
-                DVec3::new(0.6, 0.0, 0.8),
-                &[1.0, 0.8, 0.5, 0.2],
-                DVec3::new(3.0, 2.0, 1.0),
-            )
+            + ShRgb::zonal(DVec3::new(0.6, 0.0, 0.8), &[1.0, 0.8, 0.5, 0.2], DVec3::new(3.0, 2.0, 1.0))
     }
 
     fn lighting() -> Lighting {
-        Lighting {
-            environment: sky(),
-            env_from_local: DMat3::IDENTITY,
-        }
+        Lighting { environment: sky(), env_from_local: DMat3::IDENTITY }
     }
 
     fn assert_close(a: &ShRgb, b: &ShRgb, tolerance: f64) {
@@ -98,10 +89,7 @@ mod tests {
 
     fn uniform(dims: UVec3, value: f64) -> Grid {
         let shape = GridShape::new(dims);
-        Grid {
-            shape,
-            values: vec![value; shape.len()],
-        }
+        Grid { shape, values: vec![value; shape.len()] }
     }
 
     #[test]
@@ -110,17 +98,10 @@ mod tests {
         // 4096 Fibonacci directions integrate degree 6 to a few 1e-4; 32 to a few percent (of coefficients near 4).
         let exact = sky();
         assert_close(&direct_light(DVec3::ZERO, &empty, &lighting(), 5.0, 4096), &exact, 5e-3);
-        assert_close(
-            &direct_light(DVec3::ZERO, &empty, &lighting(), 5.0, DIRECTIONS),
-            &exact,
-            0.3,
-        );
+        assert_close(&direct_light(DVec3::ZERO, &empty, &lighting(), 5.0, DIRECTIONS), &exact, 0.3);
         // A turned volume sees the environment turned back.
         let turn = DMat3::from_axis_angle(DVec3::new(0.0, 0.6, 0.8), 1.1);
-        let turned = Lighting {
-            env_from_local: turn,
-            ..lighting()
-        };
+        let turned = Lighting { env_from_local: turn, ..lighting() };
         let expected = exact.rotate(turn.transpose());
         assert_close(&direct_light(DVec3::ZERO, &empty, &turned, 5.0, 4096), &expected, 5e-3);
     }
@@ -148,9 +129,8 @@ mod tests {
         let p = DVec3::new(0.1, -0.2, 0.05);
         let sigma = 3.0;
         let chord = |w: DVec3| (w.signum() * 0.5 - p) / w;
-        let expected = ShRgb::project(&SphereRule::new(64), |w| {
-            sky().evaluate(w) * (-sigma * chord(w).min_element()).exp()
-        });
+        let expected =
+            ShRgb::project(&SphereRule::new(64), |w| sky().evaluate(w) * (-sigma * chord(w).min_element()).exp());
         // Rounded corners (trilinear) and 20 steps: 1 % of the largest coefficient.
         let found = direct_light(p, &grid, &lighting(), sigma, 4096);
         assert_close(&found, &expected, 0.01 * expected.0[0].max_element());
@@ -158,17 +138,10 @@ mod tests {
 
     #[test]
     fn one_gaussian_matches_the_exact_optical_depth() {
-        let rbf = Rbf {
-            center: [0.0, 0.05, 0.0],
-            radius: 0.14,
-            weight: 2.0,
-        };
+        let rbf = Rbf { center: [0.0, 0.05, 0.0], radius: 0.14, weight: 2.0 };
         let grid = coarse(&density(&[rbf], |_| 0.0, GridShape::new(UVec3::splat(64))));
         let center = rbf_center(&rbf);
-        for p in probes(&rbf)
-            .into_iter()
-            .chain([DVec3::new(-0.3, 0.2, 0.1), DVec3::new(0.45, 0.4, -0.4)])
-        {
+        for p in probes(&rbf).into_iter().chain([DVec3::new(-0.3, 0.2, 0.1), DVec3::new(0.45, 0.4, -0.4)]) {
             for dir in fibonacci(DIRECTIONS) {
                 // The coarse grid blurs: in coarse cells, averaging pairs adds 1/16 to the variance per axis and
                 // trilinear interpolation 1/6, to r²/2 = 10.04. The two axes across the ray lose 0.229/10.04 = 2.3 % of
@@ -183,17 +156,9 @@ mod tests {
 
     #[test]
     fn albedo_and_phase_scale_the_bands() {
-        let rbf = Rbf {
-            center: [0.1, 0.0, 0.0],
-            radius: 0.2,
-            weight: 1.0,
-        };
+        let rbf = Rbf { center: [0.1, 0.0, 0.0], radius: 0.2, weight: 1.0 };
         let grid = uniform(UVec3::splat(8), 0.5);
-        let medium = Medium {
-            sigma: 2.0,
-            albedo: DVec3::new(0.9, 0.6, 0.3),
-            g: 0.4,
-        };
+        let medium = Medium { sigma: 2.0, albedo: DVec3::new(0.9, 0.6, 0.3), g: 0.4 };
         let found = source_radiance(&[rbf], &grid, &lighting(), &medium);
         assert_eq!(found.len(), 1);
         for (j, p) in found[0].iter().zip(probes(&rbf)) {

@@ -53,10 +53,7 @@ mod tests {
         let ray = Ray::new(DVec3::new(-2.0, 0.1, 0.1), DVec3::X);
         assert_slab(ray, 1.0);
         // Slanted through the y faces, 20/32 apart, 0.8 of the way per unit.
-        assert_slab(
-            Ray::new(DVec3::new(-0.75, -1.0, 0.0), DVec3::new(0.6, 0.8, 0.0)),
-            0.625 / 0.8,
-        );
+        assert_slab(Ray::new(DVec3::new(-0.75, -1.0, 0.0), DVec3::new(0.6, 0.8, 0.0)), 0.625 / 0.8);
         // From inside, and past the box.
         assert_slab(Ray::new(DVec3::new(0.2, 0.0, 0.0), DVec3::X), 0.3);
         assert_slab(Ray::new(DVec3::new(0.6, 0.0, 0.0), DVec3::X), 0.0);
@@ -99,11 +96,7 @@ mod tests {
                 f64::from(cell.cmpge(UVec3::ONE).all() && cell.cmple(SHAPE.dims).all())
             })
             .collect();
-        let volume = Volume {
-            shape: SHAPE,
-            radiance: vec![J; padded.len()],
-            density,
-        };
+        let volume = Volume { shape: SHAPE, radiance: vec![J; padded.len()], density };
         // Through cell centres along x: 31 cells between the outermost centres, and at each end half a cell falling
         // from 1 to 1/2: 31.75 of 32. Along y 19.75 of 20, in units of 1/32.
         for (ray, cells) in [

@@ -48,26 +48,12 @@ pub fn volume(rbfs: &[Rbf], outgoing: &[Outgoing], bins: &RbfBins, density: &Gri
             let cell = padded.cell(index);
             let nearest = cell.clamp(UVec3::ONE, shape.dims) - 1;
             let x = center(shape, nearest) + (cell.as_dvec3() - 1.0 - nearest.as_dvec3()) / f64::from(shape.longest());
-            let list = bins
-                .at(nearest)
-                .iter()
-                .map(|&l| (&rbfs[l as usize], &outgoing[l as usize]));
+            let list = bins.at(nearest).iter().map(|&l| (&rbfs[l as usize], &outgoing[l as usize]));
             let padding = cell != nearest + 1;
-            (
-                interpolate(x, list),
-                if padding {
-                    0.0
-                } else {
-                    density.values[shape.index(nearest)]
-                },
-            )
+            (interpolate(x, list), if padding { 0.0 } else { density.values[shape.index(nearest)] })
         })
         .unzip();
-    Volume {
-        shape,
-        radiance,
-        density,
-    }
+    Volume { shape, radiance, density }
 }
 
 /// J(x) = max(0, Σ φ (J̄ + G δ) / Σ φ), with φ = w (exp(−u²) + 1e-6/(1+u²)²), u = |x−c|/r, and δ = x−c, but no longer
@@ -84,11 +70,7 @@ fn interpolate<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>
         sum += phi * (outgoing.mean + outgoing.gradient * delta);
         total += phi;
     }
-    if total > 0.0 {
-        (sum / total).max(DVec3::ZERO)
-    } else {
-        DVec3::ZERO
-    }
+    if total > 0.0 { (sum / total).max(DVec3::ZERO) } else { DVec3::ZERO }
 }
 
 #[cfg(test)]
@@ -99,25 +81,14 @@ mod tests {
     const DIMS: UVec3 = UVec3::new(20, 32, 11);
 
     fn rbfs() -> Vec<Rbf> {
-        let at = |x, y, z, radius, weight| Rbf {
-            center: [x, y, z],
-            radius,
-            weight,
-        };
-        vec![
-            at(0.0, 0.1, 0.0, 0.06, 1.0),
-            at(-0.1, -0.2, 0.05, 0.04, 0.3),
-            at(0.2, 0.0, -0.1, 0.05, 2.0),
-        ]
+        let at = |x, y, z, radius, weight| Rbf { center: [x, y, z], radius, weight };
+        vec![at(0.0, 0.1, 0.0, 0.06, 1.0), at(-0.1, -0.2, 0.05, 0.04, 0.3), at(0.2, 0.0, -0.1, 0.05, 2.0)]
     }
 
     fn build(outgoing: impl Fn(&Rbf) -> Outgoing) -> Volume {
         let (rbfs, shape) = (rbfs(), GridShape::new(DIMS));
         let outgoing: Vec<_> = rbfs.iter().map(outgoing).collect();
-        let density = Grid {
-            shape,
-            values: (0..shape.len()).map(|i| 1.0 + i as f64).collect(),
-        };
+        let density = Grid { shape, values: (0..shape.len()).map(|i| 1.0 + i as f64).collect() };
         volume(&rbfs, &outgoing, &RbfBins::new(&rbfs, shape), &density)
     }
 
@@ -125,10 +96,7 @@ mod tests {
     fn a_constant_reproduces_itself_everywhere() {
         // Also far outside every Gaussian, where exp(−u²) underflows the f32 of the pass but the tail does not.
         let rgb = DVec3::new(1.0, 0.5, 0.25);
-        let volume = build(|_| Outgoing {
-            mean: rgb,
-            gradient: DMat3::ZERO,
-        });
+        let volume = build(|_| Outgoing { mean: rgb, gradient: DMat3::ZERO });
         assert_eq!(volume.radiance.len(), 22 * 34 * 13);
         for j in &volume.radiance {
             assert!((*j - rgb).length() < 1e-14);
@@ -140,16 +108,10 @@ mod tests {
 
     #[test]
     fn a_linear_field_is_reproduced_by_the_gradients() {
-        let gradient = DMat3::from_cols(
-            DVec3::new(1.0, 0.2, 0.0),
-            DVec3::new(-0.5, 0.0, 0.3),
-            DVec3::new(0.7, 0.1, -0.2),
-        );
+        let gradient =
+            DMat3::from_cols(DVec3::new(1.0, 0.2, 0.0), DVec3::new(-0.5, 0.0, 0.3), DVec3::new(0.7, 0.1, -0.2));
         let field = |x: DVec3| DVec3::ONE + gradient * x;
-        let volume = build(|rbf| Outgoing {
-            mean: field(rbf_center(rbf)),
-            gradient,
-        });
+        let volume = build(|rbf| Outgoing { mean: field(rbf_center(rbf)), gradient });
         // Wherever no listed Gaussian is further than 2r, or those that are weigh nothing: at the three centres. A far
         // one's share is at most its tail, 1e-6 · w ratio 7, times a field difference below 1.
         let rbfs = rbfs();
@@ -159,10 +121,7 @@ mod tests {
         }
         // One RBF alone, 6 radii away: the offset is shortened to 2.
         let x = rbf_center(&rbfs[0]) + DVec3::X * 0.36;
-        let outgoing = Outgoing {
-            mean: DVec3::ONE,
-            gradient,
-        };
+        let outgoing = Outgoing { mean: DVec3::ONE, gradient };
         let expected = DVec3::ONE + gradient * DVec3::X * (2.0 * f64::from(rbfs[0].radius));
         assert!((interpolate(x, [(&rbfs[0], &outgoing)].into_iter()) - expected).length() < 1e-12);
     }
@@ -170,46 +129,31 @@ mod tests {
     #[test]
     fn weights_follow_the_formula() {
         let rbfs = rbfs();
-        let [a, b] = [1.0, 3.0].map(|j| Outgoing {
-            mean: DVec3::splat(j),
-            gradient: DMat3::ZERO,
-        });
+        let [a, b] = [1.0, 3.0].map(|j| Outgoing { mean: DVec3::splat(j), gradient: DMat3::ZERO });
         // x on rbf 0's centre; |c0−c1|² = 0.01 + 0.09 + 0.0025, u1² = 0.1025/0.0016 = 64.0625: only its tail is left.
         let x = DVec3::new(0.0, 0.1, 0.0);
         let (phi0, phi1) = (1.0 + 1e-6, 0.3 * 1e-6 / 65.0625f64.powi(2));
         let found = interpolate(x, [(&rbfs[0], &a), (&rbfs[1], &b)].into_iter());
         let expected = (phi0 + 3.0 * phi1) / (phi0 + phi1);
         // φ1 is 7e-11 of φ0: resolve it, allowing for RBFs stored in f32.
-        assert!(
-            ((found.x - 1.0) / (expected - 1.0) - 1.0).abs() < 1e-5,
-            "{found} {expected}"
-        );
+        assert!(((found.x - 1.0) / (expected - 1.0) - 1.0).abs() < 1e-5, "{found} {expected}");
     }
 
     #[test]
     fn radiance_is_never_negative_and_black_without_rbfs() {
         let gradient = DMat3::from_diagonal(DVec3::splat(100.0));
-        let volume = build(|_| Outgoing {
-            mean: DVec3::ONE,
-            gradient,
-        });
+        let volume = build(|_| Outgoing { mean: DVec3::ONE, gradient });
         assert!(volume.radiance.iter().all(|j| j.min_element() >= 0.0));
         assert!(volume.radiance.iter().any(|j| j.min_element() == 0.0));
         let shape = GridShape::new(UVec3::splat(3));
-        let density = Grid {
-            shape,
-            values: vec![1.0; 27],
-        };
+        let density = Grid { shape, values: vec![1.0; 27] };
         let empty = super::volume(&[], &[], &RbfBins::new(&[], shape), &density);
         assert!(empty.radiance.iter().all(|&j| j == DVec3::ZERO));
     }
 
     #[test]
     fn density_is_copied_and_padded_with_zeros() {
-        let volume = build(|_| Outgoing {
-            mean: DVec3::ONE,
-            gradient: DMat3::ZERO,
-        });
+        let volume = build(|_| Outgoing { mean: DVec3::ONE, gradient: DMat3::ZERO });
         let (shape, padded) = (volume.shape, GridShape::new(DIMS + 2));
         for index in 0..shape.len() {
             let cell = shape.cell(index);

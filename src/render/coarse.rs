@@ -37,10 +37,7 @@ pub(super) fn job(
 ) -> Job {
     let bindings = (frame.uniform.as_entire_binding(), &frame.density, &frame.coarse);
     let padded = shape.coarse().dims + 2;
-    Job {
-        bind_group: pass.bind(device, cache, bindings),
-        workgroups: workgroups(padded, UVec3::splat(4)),
-    }
+    Job { bind_group: pass.bind(device, cache, bindings), workgroups: workgroups(padded, UVec3::splat(4)) }
 }
 
 /// Averages the density of every frame that is new.

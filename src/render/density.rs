@@ -55,10 +55,7 @@ pub(super) fn job(
             &frame.density,
         ),
     );
-    Job {
-        bind_group,
-        workgroups: workgroups(shape.dims, UVec3::new(8, 8, 4)),
-    }
+    Job { bind_group, workgroups: workgroups(shape.dims, UVec3::new(8, 8, 4)) }
 }
 
 /// Unpacks the density of every frame that is new.

@@ -42,25 +42,14 @@ impl EnvironmentPass {
         );
         let equirect = BindGroupLayoutEntries::sequential(
             compute,
-            (
-                storage(),
-                storage(),
-                texture_2d(TextureSampleType::Float { filterable: false }),
-            ),
+            (storage(), storage(), texture_2d(TextureSampleType::Float { filterable: false })),
         );
         let reduce = BindGroupLayoutEntries::sequential(compute, (storage(), storage()));
         let equirect_def = || vec!["EQUIRECT".into()];
         Self {
             cube: ComputePass::new(LABEL, &cube, shader, "project", vec![], cache),
             equirect: ComputePass::new(LABEL, &equirect, shader, "project", equirect_def(), cache),
-            reduce: ComputePass::new(
-                "smoke_environment_reduce",
-                &reduce,
-                shader,
-                "reduce",
-                equirect_def(),
-                cache,
-            ),
+            reduce: ComputePass::new("smoke_environment_reduce", &reduce, shader, "reduce", equirect_def(), cache),
         }
     }
 
@@ -87,37 +76,19 @@ impl EnvironmentPass {
                 let bindings = (partials.clone(), coefficients.clone(), view, sampler);
                 (true, self.cube.bind(device, cache, bindings))
             }
-            RadianceMap::Equirect(view) => (
-                false,
-                self.equirect
-                    .bind(device, cache, (partials.clone(), coefficients.clone(), view)),
-            ),
+            RadianceMap::Equirect(view) => {
+                (false, self.equirect.bind(device, cache, (partials.clone(), coefficients.clone(), view)))
+            }
         };
-        EnvironmentJob {
-            is_cube,
-            project,
-            reduce: self.reduce.bind(device, cache, (partials, coefficients)),
-        }
+        EnvironmentJob { is_cube, project, reduce: self.reduce.bind(device, cache, (partials, coefficients)) }
     }
 
     /// The two dispatches of a job, each with its pass.
     pub fn jobs(&self, job: &EnvironmentJob) -> [(&ComputePass, Job); 2] {
         let project = if job.is_cube { &self.cube } else { &self.equirect };
         [
-            (
-                project,
-                Job {
-                    bind_group: job.project.clone(),
-                    workgroups: UVec3::new(GROUPS, 1, 1),
-                },
-            ),
-            (
-                &self.reduce,
-                Job {
-                    bind_group: job.reduce.clone(),
-                    workgroups: UVec3::ONE,
-                },
-            ),
+            (project, Job { bind_group: job.project.clone(), workgroups: UVec3::new(GROUPS, 1, 1) }),
+            (&self.reduce, Job { bind_group: job.reduce.clone(), workgroups: UVec3::ONE }),
         ]
     }
 }

@@ -58,11 +58,8 @@ pub(super) fn extract_smoke(
     }
     smoke.camera_environments.clear();
     for (entity, light) in &cameras {
-        let environment = CameraEnvironment {
-            image: light.specular_map.id(),
-            intensity: light.intensity,
-            rotation: light.rotation,
-        };
+        let environment =
+            CameraEnvironment { image: light.specular_map.id(), intensity: light.intensity, rotation: light.rotation };
         smoke.camera_environments.insert(entity.into(), environment);
     }
 }

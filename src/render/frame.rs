@@ -78,12 +78,7 @@ impl GpuSmokeFrame {
         let coarse = shape.coarse();
         Self {
             rbf_count: rbfs.len() as u32,
-            uniform: uniform(
-                device,
-                queue,
-                "smoke_frame",
-                frame_uniform(shape, rbfs, &bins, residual),
-            ),
+            uniform: uniform(device, queue, "smoke_frame", frame_uniform(shape, rbfs, &bins, residual)),
             rbfs: rbf_buffer(device, rbfs),
             bin_offsets: storage(device, "smoke_bin_offsets", &bins.offsets),
             bin_indices: storage(device, "smoke_bin_indices", &bins.indices),
@@ -119,14 +114,8 @@ fn frame_uniform(shape: GridShape, rbfs: &[Rbf], bins: &RbfBins, residual: &Hash
 }
 
 fn rbf_buffer(device: &RenderDevice, rbfs: &[Rbf]) -> Buffer {
-    let entries: Vec<RbfEntry> = rbfs
-        .iter()
-        .map(|r| RbfEntry {
-            center: r.center.into(),
-            radius: r.radius,
-            weight: r.weight,
-        })
-        .collect();
+    let entries: Vec<RbfEntry> =
+        rbfs.iter().map(|r| RbfEntry { center: r.center.into(), radius: r.radius, weight: r.weight }).collect();
     let mut bytes = encase::StorageBuffer::new(Vec::<u8>::new());
     bytes.write(&entries).expect("a Vec grows as it is written to");
     storage(device, "smoke_rbfs", &bytes.into_inner())
@@ -161,11 +150,7 @@ pub(super) fn texture_3d(device: &RenderDevice, label: &str, dims: UVec3, format
     let usage = TextureUsages::STORAGE_BINDING | TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_SRC;
     let texture = device.create_texture(&TextureDescriptor {
         label: Some(label),
-        size: Extent3d {
-            width: dims.x,
-            height: dims.y,
-            depth_or_array_layers: dims.z,
-        },
+        size: Extent3d { width: dims.x, height: dims.y, depth_or_array_layers: dims.z },
         mip_level_count: 1,
         sample_count: 1,
         dimension: TextureDimension::D3,
@@ -194,19 +179,10 @@ impl RenderAsset for GpuSmokeAnimation {
                  is not drawn; bake it from a smaller grid",
                 animation.shape.dims
             );
-            return Ok(Self {
-                shape: animation.shape,
-                frames: Vec::new(),
-            });
+            return Ok(Self { shape: animation.shape, frames: Vec::new() });
         }
-        let frames = animation
-            .frames
-            .iter()
-            .map(|frame| GpuSmokeFrame::new(animation.shape, frame, device, queue))
-            .collect();
-        Ok(Self {
-            shape: animation.shape,
-            frames,
-        })
+        let frames =
+            animation.frames.iter().map(|frame| GpuSmokeFrame::new(animation.shape, frame, device, queue)).collect();
+        Ok(Self { shape: animation.shape, frames })
     }
 }

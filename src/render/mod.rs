@@ -89,9 +89,7 @@ impl Plugin for SmokeRenderPlugin {
                         .in_set(RenderSystems::PrepareResources)
                         .before(prepare_core_3d_depth_textures),
                     view::prepare_view_pipelines.in_set(RenderSystems::PrepareResources),
-                    prepare::prepare_smoke
-                        .in_set(RenderSystems::PrepareBindGroups)
-                        .in_set(SmokeSystems::Prepare),
+                    prepare::prepare_smoke.in_set(RenderSystems::PrepareBindGroups).in_set(SmokeSystems::Prepare),
                 ),
             )
             .add_systems(
@@ -133,13 +131,7 @@ pub(crate) struct SmokePasses {
 
 impl SmokePasses {
     fn all(&self) -> impl Iterator<Item = &ComputePass> {
-        let others = [
-            &self.density,
-            &self.coarse,
-            &self.source_radiance,
-            &self.outgoing,
-            &self.volume,
-        ];
+        let others = [&self.density, &self.coarse, &self.source_radiance, &self.outgoing, &self.volume];
         self.environment.passes().into_iter().chain(others)
     }
 

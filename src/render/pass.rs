@@ -38,11 +38,7 @@ impl ComputePass {
             entry_point: Some(Cow::Borrowed(entry_point)),
             ..default()
         });
-        Self {
-            label,
-            layout,
-            pipeline,
-        }
+        Self { label, layout, pipeline }
     }
 
     pub fn bind<'b, const N: usize>(
@@ -79,10 +75,9 @@ impl ComputePass {
         }
         let recorder = ctx.diagnostic_recorder();
         let recorder = recorder.as_deref();
-        let mut pass = ctx.command_encoder().begin_compute_pass(&ComputePassDescriptor {
-            label: Some(self.label),
-            timestamp_writes: None,
-        });
+        let mut pass = ctx
+            .command_encoder()
+            .begin_compute_pass(&ComputePassDescriptor { label: Some(self.label), timestamp_writes: None });
         let span = recorder.pass_span(&mut pass, self.label);
         if self.record(&mut pass, jobs, cache) {
             counter.add(jobs.len() as u32);
@@ -127,9 +122,5 @@ impl DispatchCounter {
 
 /// Workgroups of `size` threads that cover `threads`.
 pub(crate) fn workgroups(threads: UVec3, size: UVec3) -> UVec3 {
-    UVec3::new(
-        threads.x.div_ceil(size.x),
-        threads.y.div_ceil(size.y),
-        threads.z.div_ceil(size.z),
-    )
+    UVec3::new(threads.x.div_ceil(size.x), threads.y.div_ceil(size.y), threads.z.div_ceil(size.z))
 }

@@ -172,27 +172,14 @@ pub(super) fn prepare_smoke(
 ) {
     work.clear();
     let ready = passes.are_ready(&pipelines);
-    let SmokeCache {
-        frame: now,
-        environments,
-        volumes,
-        sampler,
-    } = &mut *smoke_cache;
+    let SmokeCache { frame: now, environments, volumes, sampler } = &mut *smoke_cache;
     *now = now.wrapping_add(1);
     let sampler = sampler.get_or_insert_with(|| linear_sampler(&device));
-    let gpu = Gpu {
-        device: &device,
-        queue: &queue,
-        cache: &pipelines,
-        passes: &passes,
-        sampler,
-    };
+    let gpu = Gpu { device: &device, queue: &queue, cache: &pipelines, passes: &passes, sampler };
 
     for (view_entity, view, camera, visible) in &views {
         let mut drawn = Vec::new();
-        let visible = visible
-            .get::<SmokeVolume>()
-            .map_or(&[][..], |class| &class.entities_cpu_culling);
+        let visible = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
         for &(_, volume_entity) in visible.iter().filter(|_| ready) {
             let Some(volume) = smoke.volumes.get(&volume_entity) else {
                 continue;
@@ -213,15 +200,8 @@ pub(super) fn prepare_smoke(
                 continue;
             };
             if frame.take_unpacking() {
-                work.density.push(density::job(
-                    &passes.density,
-                    animation.shape,
-                    frame,
-                    &device,
-                    &pipelines,
-                ));
-                work.coarse
-                    .push(coarse::job(&passes.coarse, animation.shape, frame, &device, &pipelines));
+                work.density.push(density::job(&passes.density, animation.shape, frame, &device, &pipelines));
+                work.coarse.push(coarse::job(&passes.coarse, animation.shape, frame, &device, &pipelines));
             }
 
             let uniform = placed.lighting(volume, &lit);
@@ -238,24 +218,14 @@ pub(super) fn prepare_smoke(
             let eye = placed.eye(view);
             // Isotropic smoke looks the same from everywhere: one texture serves all views.
             let isotropic = volume.medium.g == 0.0;
-            let (key, look) = if isotropic {
-                (None, Vec4::Z.with_w(0.0))
-            } else {
-                (Some(view.retained_view_entity), eye)
-            };
+            let (key, look) =
+                if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
             let texture = lit_volume.slice(key, look, frame, animation.shape, *now, &gpu, &mut work);
             let uniform = placed.smoke_uniform(view, eye, volume, lit.intensity * camera.exposure);
             if let Some(uniform) = uniform {
                 let distance = placed.distance(view);
                 let context = (&*device, &*queue, &*pipelines);
-                drawn.push(ViewSmokeVolume::new(
-                    uniform,
-                    texture,
-                    distance,
-                    &view_pass,
-                    gpu.sampler,
-                    context,
-                ));
+                drawn.push(ViewSmokeVolume::new(uniform, texture, distance, &view_pass, gpu.sampler, context));
             }
         }
         // Far to near; equal distances keep the order of their entities.
@@ -285,20 +255,13 @@ impl Placed {
         let world_from_bundle = volume.world_from_bundle;
         let scale = world_from_bundle.matrix3.determinant().abs().cbrt();
         let usable = scale > 0.0 && world_from_bundle.is_finite() && world_from_bundle.inverse().is_finite();
-        usable.then_some(Self {
-            world_from_bundle,
-            shape,
-            scale,
-        })
+        usable.then_some(Self { world_from_bundle, shape, scale })
     }
 
     fn lighting(&self, volume: &ExtractedVolume, lit: &Lit) -> LightingUniform {
         let m = &self.world_from_bundle.matrix3;
-        let world_from_bundle = Mat3::from_cols(
-            m.x_axis.normalize().into(),
-            m.y_axis.normalize().into(),
-            m.z_axis.normalize().into(),
-        );
+        let world_from_bundle =
+            Mat3::from_cols(m.x_axis.normalize().into(), m.y_axis.normalize().into(), m.z_axis.normalize().into());
         let g = volume.medium.g;
         let albedo = volume.medium.albedo;
         LightingUniform {
@@ -430,15 +393,10 @@ impl<'a> Source<'a> {
                     }
                 }
             },
-            SmokeEnvironment::Equirect {
-                image: handle,
-                intensity,
-                rotation,
-            } => image(handle.id(), false, *intensity, *rotation),
-            SmokeEnvironment::Coefficients {
-                coefficients,
-                intensity,
-            } => Source {
+            SmokeEnvironment::Equirect { image: handle, intensity, rotation } => {
+                image(handle.id(), false, *intensity, *rotation)
+            }
+            SmokeEnvironment::Coefficients { coefficients, intensity } => Source {
                 key: EnvironmentKey::Coefficients(entity),
                 content: Content::Coefficients(coefficients),
                 environment_from_world: Mat3::IDENTITY,
@@ -479,14 +437,12 @@ impl<'a> Source<'a> {
             match &self.content {
                 Content::Coefficients(coefficients) => {
                     let padded: Vec<Vec4> = coefficients.iter().map(|c| c.extend(0.0)).collect();
-                    gpu.queue
-                        .write_buffer(&environment.coefficients, 0, bytemuck::cast_slice(&padded));
+                    gpu.queue.write_buffer(&environment.coefficients, 0, bytemuck::cast_slice(&padded));
                 }
                 Content::Image { id, cube } => {
                     let map = radiance_map(images.get(*id)?, *cube)?;
                     let pass = &gpu.passes.environment;
-                    work.environment
-                        .push(pass.job(map, &environment.coefficients, gpu.device, gpu.cache));
+                    work.environment.push(pass.job(map, &environment.coefficients, gpu.device, gpu.cache));
                 }
             }
             environment.source = source;
@@ -511,11 +467,7 @@ fn radiance_map(image: &GpuImage, cube: bool) -> Option<RadianceMap<'_>> {
         true if is_cube => Some(RadianceMap::Cube(&image.texture_view, &image.sampler)),
         false if is_flat => Some(RadianceMap::Equirect(&image.texture_view)),
         _ => {
-            let wanted = if cube {
-                "a cube map"
-            } else {
-                "a 2D latitude-longitude image"
-            };
+            let wanted = if cube { "a cube map" } else { "a 2D latitude-longitude image" };
             let found = image.texture_descriptor.size;
             warn_once!(
                 "smoke needs {wanted} for its environment, but was given an image of {found:?} ({dimension:?}): the \
@@ -566,10 +518,7 @@ impl LitVolume {
             self.environment_version = lit.environment.version;
             self.version += 1;
             let workgroups = source_radiance::workgroups(frame);
-            work.source_radiance.push(Job {
-                bind_group: self.bind_group.clone(),
-                workgroups,
-            });
+            work.source_radiance.push(Job { bind_group: self.bind_group.clone(), workgroups });
         }
     }
 
@@ -586,24 +535,15 @@ impl LitVolume {
         work: &mut SmokeWork,
     ) -> &TextureView {
         let (probes, version) = (&self.probes, self.version);
-        let sliced = self
-            .sliced
-            .entry(view)
-            .or_insert_with(|| SlicedVolume::new(eye, frame, shape, probes, gpu));
+        let sliced = self.sliced.entry(view).or_insert_with(|| SlicedVolume::new(eye, frame, shape, probes, gpu));
         sliced.last_used = now;
         let changed = sliced.look.set(LookUniform { eye }, gpu) | (sliced.lit_version != version);
         if changed {
             sliced.lit_version = version;
             let bind_group = sliced.outgoing.clone();
-            work.outgoing.push(Job {
-                bind_group,
-                workgroups: outgoing::workgroups(frame),
-            });
+            work.outgoing.push(Job { bind_group, workgroups: outgoing::workgroups(frame) });
             let bind_group = sliced.volume.clone();
-            work.volume.push(Job {
-                bind_group,
-                workgroups: volume::workgroups(shape),
-            });
+            work.volume.push(Job { bind_group, workgroups: volume::workgroups(shape) });
         }
         &sliced.texture
     }
@@ -615,17 +555,8 @@ impl SlicedVolume {
         let outgoing = storage_buffer(gpu.device, "smoke_outgoing", bytes);
         let texture = texture_3d(gpu.device, "smoke_volume", shape.dims + 2, FILTERED_FORMAT);
         let look = Cached::new(LookUniform { eye }, gpu);
-        let leave = outgoing::Bindings {
-            frame,
-            look: look.buffer(),
-            probes,
-            outgoing: &outgoing,
-        };
-        let reconstruct = volume::Bindings {
-            frame,
-            outgoing: &outgoing,
-            volume: &texture,
-        };
+        let leave = outgoing::Bindings { frame, look: look.buffer(), probes, outgoing: &outgoing };
+        let reconstruct = volume::Bindings { frame, outgoing: &outgoing, volume: &texture };
         Self {
             outgoing: outgoing::bind(&gpu.passes.outgoing, leave, gpu.device, gpu.cache),
             volume: volume::bind(&gpu.passes.volume, reconstruct, gpu.device, gpu.cache),
@@ -640,12 +571,7 @@ impl SlicedVolume {
 
 fn storage_buffer(device: &RenderDevice, label: &str, size: u64) -> Buffer {
     let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
-    device.create_buffer(&BufferDescriptor {
-        label: Some(label),
-        size,
-        usage,
-        mapped_at_creation: false,
-    })
+    device.create_buffer(&BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
 }
 
 /// Trilinear, clamped at the edges.

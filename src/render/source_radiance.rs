@@ -85,7 +85,5 @@ pub(super) fn source_radiance(
     stats: Res<SmokeRenderStats>,
     mut ctx: RenderContext,
 ) {
-    passes
-        .source_radiance
-        .run(&work.source_radiance, &cache, &stats.source_radiance, &mut ctx);
+    passes.source_radiance.run(&work.source_radiance, &cache, &stats.source_radiance, &mut ctx);
 }

@@ -70,10 +70,7 @@ impl ViewPass {
                 sampler(SamplerBindingType::Filtering),
             ),
         );
-        Self {
-            volume_layout: BindGroupLayoutDescriptor::new("smoke_view_volume", &entries),
-            shader: shader.clone(),
-        }
+        Self { volume_layout: BindGroupLayoutDescriptor::new("smoke_view_volume", &entries), shader: shader.clone() }
     }
 }
 
@@ -87,20 +84,12 @@ impl ViewSmokeVolume {
         (device, queue, cache): (&RenderDevice, &RenderQueue, &PipelineCache),
     ) -> Self {
         let uniform = uniform(device, queue, "smoke_view_volume", smoke);
-        let resources = [
-            uniform.as_entire_binding(),
-            BindingResource::TextureView(volume),
-            BindingResource::Sampler(sampler),
-        ];
-        let entries: Vec<BindGroupEntry> = (0..)
-            .zip(resources)
-            .map(|(binding, resource)| BindGroupEntry { binding, resource })
-            .collect();
+        let resources =
+            [uniform.as_entire_binding(), BindingResource::TextureView(volume), BindingResource::Sampler(sampler)];
+        let entries: Vec<BindGroupEntry> =
+            (0..).zip(resources).map(|(binding, resource)| BindGroupEntry { binding, resource }).collect();
         let layout = cache.get_bind_group_layout(&pass.volume_layout);
-        Self {
-            distance,
-            bind_group: device.create_bind_group("smoke_view_volume", &layout, &entries),
-        }
+        Self { distance, bind_group: device.create_bind_group("smoke_view_volume", &layout, &entries) }
     }
 }
 
@@ -116,11 +105,7 @@ pub struct ViewPassKey {
 impl ViewPassKey {
     /// Layout of the group that the view binds: its uniform, its depth and, where the shader tone-maps, a table.
     fn view_layout(&self) -> BindGroupLayoutDescriptor {
-        let depth = if self.samples > 1 {
-            texture_depth_2d_multisampled()
-        } else {
-            texture_depth_2d()
-        };
+        let depth = if self.samples > 1 { texture_depth_2d_multisampled() } else { texture_depth_2d() };
         let mut entries = BindGroupLayoutEntries::sequential(
             ShaderStages::VERTEX_FRAGMENT,
             (uniform_buffer::<ViewUniform>(true), depth),
@@ -128,9 +113,7 @@ impl ViewPassKey {
         .to_vec();
         if self.tonemapping.is_some() {
             let luts = get_lut_bind_group_layout_entries();
-            let luts = (2..)
-                .zip(luts)
-                .map(|(binding, entry)| entry.build(binding, ShaderStages::FRAGMENT));
+            let luts = (2..).zip(luts).map(|(binding, entry)| entry.build(binding, ShaderStages::FRAGMENT));
             entries.extend(luts);
         }
         BindGroupLayoutDescriptor::new("smoke_view", &entries)
@@ -177,24 +160,15 @@ impl SpecializedRenderPipeline for ViewPass {
                 entry_point: Some("vertex".into()),
                 ..default()
             },
-            primitive: PrimitiveState {
-                topology: PrimitiveTopology::TriangleStrip,
-                ..default()
-            },
-            multisample: MultisampleState {
-                count: key.samples,
-                ..default()
-            },
+            primitive: PrimitiveState { topology: PrimitiveTopology::TriangleStrip, ..default() },
+            multisample: MultisampleState { count: key.samples, ..default() },
             fragment: Some(FragmentState {
                 shader: self.shader.clone(),
                 shader_defs: key.shader_defs(),
                 entry_point: Some("fragment".into()),
                 targets: vec![Some(ColorTargetState {
                     format: key.target_format,
-                    blend: Some(BlendState {
-                        color: over,
-                        alpha: over,
-                    }),
+                    blend: Some(BlendState { color: over, alpha: over }),
                     write_mask: ColorWrites::ALL,
                 })],
             }),
@@ -225,16 +199,9 @@ pub(super) fn prepare_view_pipelines(
             continue;
         }
         let tonemapping = tonemapping.copied().filter(|_| !camera.hdr);
-        let key = ViewPassKey {
-            target_format: view.target_format,
-            samples: msaa.samples(),
-            tonemapping,
-        };
+        let key = ViewPassKey { target_format: view.target_format, samples: msaa.samples(), tonemapping };
         let id = pipelines.specialize(&cache, &pass, key);
-        commands.entity(entity).insert(ViewSmokePipeline {
-            id,
-            layout: key.view_layout(),
-        });
+        commands.entity(entity).insert(ViewSmokePipeline { id, layout: key.view_layout() });
     }
 }
 
@@ -289,10 +256,8 @@ pub(super) fn view(
         let (lut, sampler) = get_lut_bindings(&tables.images, &tables.luts, tonemapping, &tables.fallback);
         resources.extend([BindingResource::TextureView(lut), BindingResource::Sampler(sampler)]);
     }
-    let entries: Vec<BindGroupEntry> = (0..)
-        .zip(resources)
-        .map(|(binding, resource)| BindGroupEntry { binding, resource })
-        .collect();
+    let entries: Vec<BindGroupEntry> =
+        (0..).zip(resources).map(|(binding, resource)| BindGroupEntry { binding, resource }).collect();
     let layout = cache.get_bind_group_layout(&pipeline.layout);
     let view_bind_group = ctx.render_device().create_bind_group(LABEL, &layout, &entries);
 
@@ -302,10 +267,7 @@ pub(super) fn view(
     let mut pass = ctx.begin_tracked_render_pass(RenderPassDescriptor {
         label: Some(LABEL),
         color_attachments: &[Some(RenderPassColorAttachment {
-            ops: Operations {
-                load: LoadOp::Load,
-                store: StoreOp::Store,
-            },
+            ops: Operations { load: LoadOp::Load, store: StoreOp::Store },
             ..attachment
         })],
         depth_stencil_attachment: None,

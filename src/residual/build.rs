@@ -90,11 +90,7 @@ impl Buckets {
         for &key in keys {
             starts[bucket_of(key) + 1] += 1;
         }
-        let mut order: Vec<u32> = (0u32..)
-            .zip(&starts[1..])
-            .filter(|(_, n)| **n > 0)
-            .map(|(b, _)| b)
-            .collect();
+        let mut order: Vec<u32> = (0u32..).zip(&starts[1..]).filter(|(_, n)| **n > 0).map(|(b, _)| b).collect();
         order.sort_by_key(|&b| std::cmp::Reverse(starts[b as usize + 1]));
         for b in 1..starts.len() {
             starts[b] += starts[b - 1];
@@ -106,11 +102,7 @@ impl Buckets {
             sorted[*place as usize] = key;
             *place += 1;
         }
-        Self {
-            starts,
-            keys: sorted,
-            order,
-        }
+        Self { starts, keys: sorted, order }
     }
 
     /// The displacement number of every bucket, or nothing if one finds no place in a table of `slots`.
@@ -128,9 +120,7 @@ impl Buckets {
                     let slot = displaced(home, by, slots);
                     if taken.taken(slot) {
                         // Give back what this number took.
-                        homes[..done]
-                            .iter()
-                            .for_each(|&home| taken.free(displaced(home, by, slots)));
+                        homes[..done].iter().for_each(|&home| taken.free(displaced(home, by, slots)));
                         return false;
                     }
                     taken.take(slot);

@@ -99,10 +99,7 @@ impl HashedResidual {
     pub fn empty(shape: GridShape) -> Self {
         Self {
             shape,
-            law: QuantizationLaw {
-                max: 0.0,
-                exponent: 1.0,
-            },
+            law: QuantizationLaw { max: 0.0, exponent: 1.0 },
             occupancy: vec![0; shape.len().div_ceil(32)],
             count: 0,
             offset_side: 0,
@@ -139,11 +136,7 @@ impl HashedResidual {
         let count: u32 = occupancy.iter().map(|word| word.count_ones()).sum();
         check_length("list of values", u64::from(count), values.len())?;
         let side = u64::from(offset_side);
-        check_length(
-            "offset table",
-            side.saturating_mul(side).saturating_mul(side),
-            offsets.len(),
-        )?;
+        check_length("offset table", side.saturating_mul(side).saturating_mul(side), offsets.len())?;
         if slots < count || slots > cells || (count > 0 && offset_side == 0) {
             return Err(ResidualError::TableLength { slots, count, cells });
         }
@@ -201,11 +194,7 @@ impl HashedResidual {
     fn slot(&self, cell: UVec3) -> u32 {
         let number = self.offsets[bucket(cell, self.offset_side) as usize];
         let index = cell.x + self.shape.dims.x * (cell.y + self.shape.dims.y * cell.z);
-        displaced(
-            index % self.slots,
-            displacement(u32::from(number), self.slots),
-            self.slots,
-        )
+        displaced(index % self.slots, displacement(u32::from(number), self.slots), self.slots)
     }
 
     /// The residual of every cell, in flat order.
@@ -220,9 +209,7 @@ impl HashedResidual {
 
     /// The bytes of the occupied cells in flat order: what [`from_parts`](Self::from_parts) takes.
     pub fn values(&self) -> Vec<i8> {
-        self.occupied()
-            .map(|index| self.quantized(self.shape.cell(index as usize)))
-            .collect()
+        self.occupied().map(|index| self.quantized(self.shape.cell(index as usize))).collect()
     }
 
     /// The flat indices of the occupied cells, ascending.
@@ -299,11 +286,7 @@ pub(super) fn displacement(number: u32, slots: u32) -> u32 {
 
 /// `home + by`, around the table's end; both are below `slots`, and their sum may pass 2³².
 pub(super) fn displaced(home: u32, by: u32, slots: u32) -> u32 {
-    if home < slots - by {
-        home + by
-    } else {
-        home - (slots - by)
-    }
+    if home < slots - by { home + by } else { home - (slots - by) }
 }
 
 /// The number of cells as a u32.
@@ -320,7 +303,5 @@ pub(super) fn check_law(law: QuantizationLaw) -> Result<(), ResidualError> {
 
 pub(super) fn check_length(part: &'static str, expected: u64, found: usize) -> Result<(), ResidualError> {
     let found = found as u64;
-    (found == expected)
-        .then_some(())
-        .ok_or(ResidualError::Length { part, expected, found })
+    (found == expected).then_some(()).ok_or(ResidualError::Length { part, expected, found })
 }

@@ -93,10 +93,7 @@ impl<T: Coefficient> Sh<T> {
 
     /// The value in the unit direction `dir`.
     pub fn evaluate(&self, dir: DVec3) -> T {
-        self.0
-            .iter()
-            .zip(basis(dir))
-            .fold(T::default(), |sum, (&c, y)| sum + c * y)
+        self.0.iter().zip(basis(dir)).fold(T::default(), |sum, (&c, y)| sum + c * y)
     }
 
     /// The pointwise product of two functions, projected back to order 4: exact, the higher bands are cut off.

@@ -41,12 +41,7 @@ pub fn gaunt() -> &'static [Gaunt] {
             .filter(|&(_, value)| value.abs() > 1e-9)
             .map(|(n, value)| {
                 let (ij, k) = (n / COEFFICIENTS, n % COEFFICIENTS);
-                Gaunt {
-                    i: ij / COEFFICIENTS,
-                    j: ij % COEFFICIENTS,
-                    k,
-                    value,
-                }
+                Gaunt { i: ij / COEFFICIENTS, j: ij % COEFFICIENTS, k, value }
             })
             .collect()
     })

@@ -28,10 +28,7 @@ impl SphereRule {
                 nodes.push((DVec3::new(radius * cos, radius * sin, z), weight * longitude));
             }
         }
-        Self {
-            nodes,
-            degree: 2 * n - 1,
-        }
+        Self { nodes, degree: 2 * n - 1 }
     }
 
     /// The 50 directions exact through degree 9: enough for the product of three functions of order 4.
@@ -52,9 +49,7 @@ impl SphereRule {
 
     /// ∫ f dω over the sphere.
     pub fn integrate<T: Coefficient>(&self, f: impl Fn(DVec3) -> T) -> T {
-        self.nodes
-            .iter()
-            .fold(T::default(), |sum, &(dir, weight)| sum + f(dir) * weight)
+        self.nodes.iter().fold(T::default(), |sum, &(dir, weight)| sum + f(dir) * weight)
     }
 }
 

@@ -54,10 +54,7 @@ fn constants_match_their_closed_forms() {
     // The two that vanish there.
     let y = basis(DVec3::new(1.0, 0.0, 1.0));
     assert_close([y[8], y[14]], [0.25 * root(15.0), 0.25 * root(105.0)], 1e-15);
-    assert_eq!(
-        (0..COEFFICIENTS).map(band).collect::<Vec<_>>(),
-        [0, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3]
-    );
+    assert_eq!((0..COEFFICIENTS).map(band).collect::<Vec<_>>(), [0, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3]);
 }
 
 #[test]
@@ -107,11 +104,8 @@ fn fibonacci_directions_follow_the_definition() {
     // j = 0: y = 31/32, φ = 0. j = 1: y = 29/32, φ = π(3−√5) = 2.399963.
     assert!((w[0] - DVec3::new((1.0 - 0.96875f64 * 0.96875).sqrt(), 0.96875, 0.0)).length() < 1e-15);
     let radius = (1.0 - 0.90625f64 * 0.90625).sqrt();
-    let expected = DVec3::new(
-        radius * 2.399_963_229_728_653f64.cos(),
-        0.90625,
-        radius * 2.399_963_229_728_653f64.sin(),
-    );
+    let expected =
+        DVec3::new(radius * 2.399_963_229_728_653f64.cos(), 0.90625, radius * 2.399_963_229_728_653f64.sin());
     assert!((w[1] - expected).length() < 1e-14);
     assert!(w.iter().all(|w| (w.length() - 1.0).abs() < 1e-15));
     // Nearly uniform: the 16 moments of 1024 directions are those of the sphere to 1 in 1000.
@@ -124,12 +118,7 @@ fn fibonacci_directions_follow_the_definition() {
 
 #[test]
 fn gaunt_tensor_is_symmetric_and_has_known_entries() {
-    let find = |i, j, k| {
-        gaunt()
-            .iter()
-            .find(|t| (t.i, t.j, t.k) == (i, j, k))
-            .map_or(0.0, |t| t.value)
-    };
+    let find = |i, j, k| gaunt().iter().find(|t| (t.i, t.j, t.k) == (i, j, k)).map_or(0.0, |t| t.value);
     for t in gaunt() {
         assert!((find(t.j, t.i, t.k) - t.value).abs() < 1e-15);
         assert!((find(t.k, t.j, t.i) - t.value).abs() < 1e-15);
@@ -150,11 +139,7 @@ fn product_is_the_projected_pointwise_product() {
     assert_close(a.product(&b).0, expected.0, ROUNDING);
     assert_close(a.product(&Sh::constant(1.0)).0, a.0, ROUNDING);
     // RGB multiplies channel by channel.
-    let rgb = |s: f64| {
-        Sh(core::array::from_fn(|k| {
-            DVec3::new(sample_sh(s).0[k], sample_sh(s + 1.0).0[k], 0.0)
-        }))
-    };
+    let rgb = |s: f64| Sh(core::array::from_fn(|k| DVec3::new(sample_sh(s).0[k], sample_sh(s + 1.0).0[k], 0.0)));
     let product = rgb(0.3).product(&rgb(2.1));
     assert_close(product.0.map(|c| c.x), expected.0, ROUNDING);
     assert_close(product.0.map(|c| c.z), [0.0; 16], 0.0);
@@ -174,21 +159,13 @@ fn convolution_is_the_integral_against_the_kernel() {
     let irradiance = f.convolve(&CLAMPED_COSINE);
     let fine = SphereRule::new(200);
     let expected = fine.integrate(|w| f.evaluate(w) * w.x.max(0.0));
-    assert!(
-        (irradiance.evaluate(DVec3::X) - expected).abs() < 1e-3,
-        "{}",
-        irradiance.evaluate(DVec3::X) - expected
-    );
+    assert!((irradiance.evaluate(DVec3::X) - expected).abs() < 1e-3, "{}", irradiance.evaluate(DVec3::X) - expected);
 }
 
 #[test]
 fn zonal_factors_match_closed_forms() {
     // Powers of t: λ_l of t² is 4π/3, 0, 8π/15, 0.
-    assert_close(
-        zonal_factors(|t| t * t),
-        [4.0 * PI / 3.0, 0.0, 8.0 * PI / 15.0, 0.0],
-        ROUNDING,
-    );
+    assert_close(zonal_factors(|t| t * t), [4.0 * PI / 3.0, 0.0, 8.0 * PI / 15.0, 0.0], ROUNDING);
     // The kink of the clamped cosine costs the rule O(1/n²) = 2e-4, times 2π.
     assert_close(zonal_factors(|t| t.max(0.0)), CLAMPED_COSINE, 2e-3);
 }

@@ -12,9 +12,9 @@ struct Lighting {
 }
 
 // Directions each probe looks in; one thread each.
-const DIRECTIONS: u32 = 32u;
+const DIRECTIONS: u32 = 64u;
 // Radius of the tetrahedron of probes over the RBF's.
-const RHO: f32 = 1.1;
+const RHO: f32 = 1.0;
 
 // Corner i of the tetrahedron, a unit vector.
 fn tetrahedron(i: u32) -> vec3<f32> {

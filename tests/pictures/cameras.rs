@@ -1,7 +1,7 @@
 //! Where the eye is, how it projects, and into what.
 
+use bevy::camera::Viewport;
 use bevy::camera::visibility::RenderLayers;
-use bevy::camera::{CameraOutputMode, Viewport};
 use bevy::core_pipeline::tonemapping::Tonemapping;
 use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
@@ -22,18 +22,9 @@ fn placement_is_relative() {
         let axis = world.rotation * Vec3::X * (4.0 * std::f32::consts::PI / 3.0_f32).sqrt();
         (coefficients[3], coefficients[1], coefficients[2]) =
             (Vec3::splat(-axis.x), Vec3::splat(-axis.y), Vec3::splat(axis.z));
-        let environment = SmokeEnvironment::Coefficients {
-            coefficients,
-            intensity: 1.0,
-        };
-        let medium = SmokeMedium {
-            sigma_t,
-            g: 0.4,
-            ..medium
-        };
-        app.app
-            .world_mut()
-            .spawn((volume, medium, environment, world * transform));
+        let environment = SmokeEnvironment::Coefficients { coefficients, intensity: 1.0 };
+        let medium = SmokeMedium { sigma_t, g: 0.4, ..medium };
+        app.app.world_mut().spawn((volume, medium, environment, world * transform));
         let camera = camera(&app);
         let camera = app.app.world_mut().spawn(camera).id();
         let mut entity = app.app.world_mut().entity_mut(camera);
@@ -44,9 +35,7 @@ fn placement_is_relative() {
     };
     let still = picture(Transform::IDENTITY, 4.0);
     let rotation = Quat::from_euler(EulerRot::XYZ, 0.3, 1.9, -0.7);
-    let moved = Transform::from_xyz(10.0, -4.0, 7.0)
-        .with_rotation(rotation)
-        .with_scale(Vec3::splat(2.0));
+    let moved = Transform::from_xyz(10.0, -4.0, 7.0).with_rotation(rotation).with_scale(Vec3::splat(2.0));
     // Twice as large is twice as deep: half the extinction gives the same picture.
     let moved = picture(moved, 2.0);
     let (error, level) = (rms(&still, &moved), rms(&still, &vec![[0.0; 4]; still.len()]));
@@ -77,14 +66,16 @@ fn camera_inside() {
     save_radiance("inside", size, &inside);
 }
 
+/// Opaque black behind the smoke: Bevy blends the second camera's output by its alpha.
+fn over_black() -> Camera {
+    Camera { clear_color: ClearColorConfig::Custom(Color::BLACK), ..default() }
+}
+
 /// Split screen: each half is what a camera of its own image would see, and shares the lighting of the other.
 #[test]
 fn two_cameras_share_the_light() {
     let half = UVec2::new(SIZE.x / 2, SIZE.y);
-    let eyes = [
-        Transform::from_xyz(0.0, 0.0, 6.0),
-        Transform::from_xyz(6.0, 0.0, 0.0).looking_at(Vec3::ZERO, Vec3::Y),
-    ];
+    let eyes = [Transform::from_xyz(0.0, 0.0, 6.0), Transform::from_xyz(6.0, 0.0, 0.0).looking_at(Vec3::ZERO, Vec3::Y)];
     let alone: Vec<Vec<[f32; 4]>> = eyes
         .iter()
         .map(|&eye| {
@@ -92,7 +83,7 @@ fn two_cameras_share_the_light() {
             let volume = smoke(&mut app);
             app.app.world_mut().spawn(volume);
             let camera = camera(&app);
-            app.app.world_mut().spawn(camera).insert(eye);
+            app.app.world_mut().spawn(camera).insert((eye, over_black()));
             draw(&mut app)
         })
         .collect();
@@ -102,45 +93,23 @@ fn two_cameras_share_the_light() {
     app.app.world_mut().spawn(volume);
     for (order, eye) in (0..).zip(eyes) {
         let camera = camera(&app);
-        let viewport = Viewport {
-            physical_position: UVec2::new(order as u32 * half.x, 0),
-            physical_size: half,
-            ..default()
-        };
-        let clear_color = if order == 0 {
-            ClearColorConfig::Custom(Color::NONE)
-        } else {
-            ClearColorConfig::None
-        };
-        // As it is, not blended: the picture's alpha is looked at.
-        let output_mode = CameraOutputMode::Write {
-            blend_state: None,
-            clear_color: ClearColorConfig::None,
-        };
-        let settings = Camera {
-            viewport: Some(viewport),
-            order,
-            clear_color,
-            output_mode,
-            ..default()
-        };
+        let viewport =
+            Viewport { physical_position: UVec2::new(order as u32 * half.x, 0), physical_size: half, ..default() };
+        let clear_color = if order == 0 { ClearColorConfig::Custom(Color::BLACK) } else { ClearColorConfig::None };
+        let settings = Camera { viewport: Some(viewport), order, clear_color, ..default() };
         app.app.world_mut().spawn(camera).insert((settings, eye));
     }
     let both = draw(&mut app);
     save_radiance("split_screen", SIZE, &both);
     for (order, alone) in alone.iter().enumerate() {
-        save_radiance(&format!("half_{order}"), half, alone);
         let seen: Vec<[f32; 4]> = (0..half.element_product())
             .map(|i| both[((i / half.x) * SIZE.x + order as u32 * half.x + i % half.x) as usize])
             .collect();
-        assert!(coverage(&seen) > 50.0);
+        assert!(rms(&seen, &vec![[0.0, 0.0, 0.0, 1.0]; seen.len()]) > 0.1);
         assert!(rms(&seen, alone) < 1e-3, "half {order}: {}", rms(&seen, alone));
     }
     let [environment, density, coarse, source, outgoing, volume, view] = dispatches(&app);
-    assert_eq!(
-        [environment, density, coarse, source, outgoing, volume],
-        [0, 1, 1, 1, 1, 1]
-    );
+    assert_eq!([environment, density, coarse, source, outgoing, volume], [0, 1, 1, 1, 1, 1]);
     assert!(view >= 2);
 }
 
@@ -194,11 +163,7 @@ fn display_targets_match_radiance_targets() {
         let volume = smoke(&mut app);
         app.app.world_mut().spawn(volume);
         let camera = camera(&app);
-        app.app
-            .world_mut()
-            .spawn(camera)
-            .remove::<bevy::camera::Hdr>()
-            .insert(tonemapping);
+        app.app.world_mut().spawn(camera).remove::<bevy::camera::Hdr>().insert(tonemapping);
         app.settle().unwrap();
         app.app.update();
         app.pixels()
@@ -228,9 +193,7 @@ fn non_uniform_scale_is_drawn() {
         let mut app = app();
         let (volume, medium, environment, _) = smoke(&mut app);
         let transform = Transform::from_scale(scale);
-        app.app
-            .world_mut()
-            .spawn((volume, SmokeMedium { sigma_t, ..medium }, environment, transform));
+        app.app.world_mut().spawn((volume, SmokeMedium { sigma_t, ..medium }, environment, transform));
         let camera = camera(&app);
         app.app.world_mut().spawn(camera);
         coverage(&draw(&mut app))
@@ -242,12 +205,7 @@ fn non_uniform_scale_is_drawn() {
     // A box without volume is not drawn, and nothing breaks.
     let mut app = app();
     let (volume, medium, environment, _) = smoke(&mut app);
-    app.app.world_mut().spawn((
-        volume,
-        medium,
-        environment,
-        Transform::from_scale(Vec3::new(1.0, 0.0, 1.0)),
-    ));
+    app.app.world_mut().spawn((volume, medium, environment, Transform::from_scale(Vec3::new(1.0, 0.0, 1.0))));
     let camera = camera(&app);
     app.app.world_mut().spawn(camera);
     for _ in 0..5 {

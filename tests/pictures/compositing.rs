@@ -13,19 +13,12 @@ fn absorbing_smoke_shows_its_transmittance() {
     let draw_over = |clear: LinearRgba| {
         let mut app = app();
         let (volume, medium, environment, transform) = smoke(&mut app);
-        let black = SmokeMedium {
-            albedo: LinearRgba::BLACK,
-            ..medium
-        };
+        let black = SmokeMedium { albedo: LinearRgba::BLACK, ..medium };
         app.app.world_mut().spawn((volume, black, environment, transform));
         let camera = camera(&app);
         let camera = app.app.world_mut().spawn(camera).id();
-        app.app
-            .world_mut()
-            .entity_mut(camera)
-            .get_mut::<Camera>()
-            .unwrap()
-            .clear_color = ClearColorConfig::Custom(clear.into());
+        app.app.world_mut().entity_mut(camera).get_mut::<Camera>().unwrap().clear_color =
+            ClearColorConfig::Custom(clear.into());
         draw(&mut app)
     };
     let alpha = draw_over(LinearRgba::NONE);
@@ -52,12 +45,7 @@ fn smoke_between_meshes() {
         let mut app = app();
         for &z in depths {
             let color = LinearRgba::rgb(0.9, 0.1, 0.1);
-            mesh(
-                &mut app,
-                Rectangle::new(1.0, 1.0),
-                color,
-                Transform::from_xyz(0.0, -0.3, z),
-            );
+            mesh(&mut app, Rectangle::new(1.0, 1.0), color, Transform::from_xyz(0.0, -0.3, z));
         }
         let camera = camera(&app);
         app.app.world_mut().spawn(camera);
@@ -82,11 +70,7 @@ fn smoke_between_meshes() {
     // Behind: smoke over mesh.
     let behind = picture(true, &[-2.0]);
     let expected = smoke_alone[0] + (1.0 - smoke_alone[3]) * picture(false, &[-2.0])[center][0];
-    assert!(
-        (behind[center][0] - expected).abs() < 2e-3,
-        "{} for {expected}",
-        behind[center][0]
-    );
+    assert!((behind[center][0] - expected).abs() < 2e-3, "{} for {expected}", behind[center][0]);
     // Inside: less smoke in front of the mesh than all of it.
     let inside = picture(true, &[0.0])[center];
     assert!(inside[0] > expected.min(mesh_alone[center][0]).min(behind[center][0]) - 1e-3);
@@ -96,32 +80,21 @@ fn smoke_between_meshes() {
 /// Volumes are composited whole, the farther one first, whatever the order in which they were spawned.
 #[test]
 fn overlapping_volumes_are_composited_far_to_near() {
-    let near = (
-        Transform::from_xyz(0.3, 0.0, 0.6).with_scale(Vec3::splat(2.5)),
-        LinearRgba::rgb(0.9, 0.2, 0.2),
-    );
-    let far = (
-        Transform::from_xyz(-0.2, 0.1, 0.0).with_scale(Vec3::splat(3.0)),
-        LinearRgba::rgb(0.2, 0.9, 0.3),
-    );
+    let near = (Transform::from_xyz(0.3, 0.0, 0.6).with_scale(Vec3::splat(2.5)), LinearRgba::rgb(0.9, 0.2, 0.2));
+    let far = (Transform::from_xyz(-0.2, 0.1, 0.0).with_scale(Vec3::splat(3.0)), LinearRgba::rgb(0.2, 0.9, 0.3));
     let picture = |volumes: &[(Transform, LinearRgba)]| {
         let mut app = app();
         for &(transform, albedo) in volumes {
             let (volume, medium, environment, _) = smoke(&mut app);
-            app.app
-                .world_mut()
-                .spawn((volume, SmokeMedium { albedo, ..medium }, environment, transform));
+            app.app.world_mut().spawn((volume, SmokeMedium { albedo, ..medium }, environment, transform));
         }
         let camera = camera(&app);
         app.app.world_mut().spawn(camera);
         draw(&mut app)
     };
     let (near_alone, far_alone) = (picture(&[near]), picture(&[far]));
-    let expected: Vec<[f32; 4]> = near_alone
-        .iter()
-        .zip(&far_alone)
-        .map(|(n, f)| std::array::from_fn(|i| n[i] + (1.0 - n[3]) * f[i]))
-        .collect();
+    let expected: Vec<[f32; 4]> =
+        near_alone.iter().zip(&far_alone).map(|(n, f)| std::array::from_fn(|i| n[i] + (1.0 - n[3]) * f[i])).collect();
     let both = picture(&[near, far]);
     // f16 after each of two blends.
     assert!(rms(&both, &expected) < 5e-4, "{}", rms(&both, &expected));
@@ -136,18 +109,8 @@ fn multisampled_edges_match_supersampled_ones() {
         let mut app = Headless::new(SIZE * scale, TextureFormat::Rgba16Float).unwrap();
         let colors = [LinearRgba::rgb(0.1, 0.1, 1.0), LinearRgba::rgb(1.0, 0.8, 0.1)];
         let tilt = Quat::from_rotation_z(0.3);
-        mesh(
-            &mut app,
-            Rectangle::new(0.5, 2.0),
-            colors[0],
-            Transform::from_xyz(0.3, 0.0, 1.0).with_rotation(tilt),
-        );
-        mesh(
-            &mut app,
-            Rectangle::new(1.0, 2.0),
-            colors[1],
-            Transform::from_xyz(-0.4, 0.0, -1.0).with_rotation(tilt),
-        );
+        mesh(&mut app, Rectangle::new(0.5, 2.0), colors[0], Transform::from_xyz(0.3, 0.0, 1.0).with_rotation(tilt));
+        mesh(&mut app, Rectangle::new(1.0, 2.0), colors[1], Transform::from_xyz(-0.4, 0.0, -1.0).with_rotation(tilt));
         let volume = smoke(&mut app);
         app.app.world_mut().spawn(volume);
         let camera = camera(&app);
@@ -173,12 +136,7 @@ fn multisampled_edges_match_supersampled_ones() {
     assert!(error_on < 0.5 * error_off, "{error_on} with MSAA, {error_off} without");
     // Away from the edges, where nothing is behind, MSAA changes nothing that f16 could tell.
     let corner = (SIZE.x * 20 + 44) as usize;
-    assert!(
-        (0..4).all(|c| (off[corner][c] - on[corner][c]).abs() < 2e-3),
-        "{:?} {:?}",
-        off[corner],
-        on[corner]
-    );
+    assert!((0..4).all(|c| (off[corner][c] - on[corner][c]).abs() < 2e-3), "{:?} {:?}", off[corner], on[corner]);
     save_radiance("msaa_off", SIZE, &off);
     save_radiance("msaa_4", SIZE, &on);
 }

@@ -14,9 +14,7 @@ fn picture(
     let mut app = app();
     let (volume, medium, _, transform) = smoke(&mut app);
     // Forward scattering shows where light comes from.
-    app.app
-        .world_mut()
-        .spawn((volume, SmokeMedium { g: 0.6, ..medium }, environment, transform));
+    app.app.world_mut().spawn((volume, SmokeMedium { g: 0.6, ..medium }, environment, transform));
     let camera = camera(&app);
     let map = map(&mut app.app.world_mut().resource_mut::<Assets<Image>>());
     let mut camera = app.app.world_mut().spawn(camera);
@@ -36,10 +34,7 @@ fn the_cameras_environment_map_lights_the_smoke() {
     let map = |intensity: f32| {
         move |images: &mut Assets<Image>| {
             let color = Color::linear_rgb(0.5, 0.25, 1.0);
-            Some(EnvironmentMapLight {
-                intensity,
-                ..EnvironmentMapLight::solid_color(images, color)
-            })
+            Some(EnvironmentMapLight { intensity, ..EnvironmentMapLight::solid_color(images, color) })
         }
     };
     let expected = picture(SmokeEnvironment::constant(Vec3::new(0.5, 0.25, 1.0), 3.0), |_| None);
@@ -64,10 +59,7 @@ fn the_environment_maps_rotation_is_honoured() {
     };
     let upright = picture(SmokeEnvironment::Camera, map(red, green, Quat::IDENTITY));
     let swapped = picture(SmokeEnvironment::Camera, map(green, red, Quat::IDENTITY));
-    let turned = picture(
-        SmokeEnvironment::Camera,
-        map(green, red, Quat::from_rotation_z(std::f32::consts::PI)),
-    );
+    let turned = picture(SmokeEnvironment::Camera, map(green, red, Quat::from_rotation_z(std::f32::consts::PI)));
     assert!(error(&swapped, &upright) > 0.02, "{}", error(&swapped, &upright));
     assert!(error(&turned, &upright) < 2e-3, "{}", error(&turned, &upright));
 }
@@ -81,21 +73,12 @@ fn an_equirect_image_lights_as_its_coefficients_do() {
         1.0 + phi.sin() * theta.sin() + 0.5 * theta.cos()
     };
     let data: Vec<u8> = (0..width * height)
-        .map(|i| {
-            radiance(
-                ((i % width) as f32 + 0.5) / width as f32,
-                ((i / width) as f32 + 0.5) / height as f32,
-            )
-        })
+        .map(|i| radiance(((i % width) as f32 + 0.5) / width as f32, ((i / width) as f32 + 0.5) / height as f32))
         .flat_map(|l| [l, 0.5 * l, l, 1.0])
         .flat_map(f32::to_le_bytes)
         .collect();
     let image = Image::new(
-        Extent3d {
-            width,
-            height,
-            depth_or_array_layers: 1,
-        },
+        Extent3d { width, height, depth_or_array_layers: 1 },
         TextureDimension::D2,
         data,
         TextureFormat::Rgba32Float,
@@ -105,9 +88,7 @@ fn an_equirect_image_lights_as_its_coefficients_do() {
     let (volume, medium, _, transform) = smoke(&mut app);
     let image = app.app.world_mut().resource_mut::<Assets<Image>>().add(image);
     let medium = SmokeMedium { g: 0.6, ..medium };
-    app.app
-        .world_mut()
-        .spawn((volume, medium, SmokeEnvironment::equirect(image, 2.0), transform));
+    app.app.world_mut().spawn((volume, medium, SmokeEnvironment::equirect(image, 2.0), transform));
     let camera = camera(&app);
     app.app.world_mut().spawn(camera);
     let found = draw(&mut app);
@@ -118,13 +99,7 @@ fn an_equirect_image_lights_as_its_coefficients_do() {
     coefficients[0] = color * (4.0 * pi).sqrt();
     coefficients[3] = -color * (4.0 * pi / 3.0).sqrt();
     coefficients[1] = -0.5 * color * (4.0 * pi / 3.0).sqrt();
-    let expected = picture(
-        SmokeEnvironment::Coefficients {
-            coefficients,
-            intensity: 2.0,
-        },
-        |_| None,
-    );
+    let expected = picture(SmokeEnvironment::Coefficients { coefficients, intensity: 2.0 }, |_| None);
     assert!(error(&found, &expected) < 2e-3, "{}", error(&found, &expected));
 }
 

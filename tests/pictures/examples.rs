@@ -35,16 +35,9 @@ fn minimal_shows_smoke() {
     let size = UVec2::new(160, 120);
     let pixels = picture("minimal", size, minimal::setup);
     let background = pixels[0];
-    let smoke = pixels
-        .iter()
-        .filter(|pixel| pixel[1] > background[1].saturating_add(30))
-        .count();
+    let smoke = pixels.iter().filter(|pixel| pixel[1] > background[1].saturating_add(30)).count();
     // A column about a third as wide as the view is high.
-    assert!(
-        smoke * 100 > pixels.len() * 5,
-        "{smoke} of {} pixels show smoke",
-        pixels.len()
-    );
+    assert!(smoke * 100 > pixels.len() * 5, "{smoke} of {} pixels show smoke", pixels.len());
 }
 
 #[test]

@@ -23,21 +23,14 @@ pub fn app() -> Headless {
 pub fn plume(app: &mut Headless) -> Handle<SmokeAnimation> {
     let bytes = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/assets/plume.smoke")).unwrap();
     let animation = bundle::read(&bytes).unwrap();
-    app.app
-        .world_mut()
-        .resource_mut::<Assets<SmokeAnimation>>()
-        .add(animation)
+    app.app.world_mut().resource_mut::<Assets<SmokeAnimation>>().add(animation)
 }
 
 /// Grey smoke 3 metres tall under a white sky.
 pub fn smoke(app: &mut Headless) -> (SmokeVolume, SmokeMedium, SmokeEnvironment, Transform) {
     (
         SmokeVolume::new(plume(app)),
-        SmokeMedium {
-            sigma_t: 5.0,
-            albedo: LinearRgba::rgb(0.8, 0.7, 0.6),
-            g: 0.0,
-        },
+        SmokeMedium { sigma_t: 5.0, albedo: LinearRgba::rgb(0.8, 0.7, 0.6), g: 0.0 },
         SmokeEnvironment::constant(Vec3::ONE, 1.0),
         Transform::from_scale(Vec3::splat(3.0)),
     )
@@ -47,10 +40,7 @@ pub fn smoke(app: &mut Headless) -> (SmokeVolume, SmokeMedium, SmokeEnvironment,
 pub fn camera(app: &Headless) -> impl Bundle + use<> {
     (
         Camera3d::default(),
-        Camera {
-            clear_color: ClearColorConfig::Custom(Color::NONE),
-            ..default()
-        },
+        Camera { clear_color: ClearColorConfig::Custom(Color::NONE), ..default() },
         app.target(),
         (Hdr, Msaa::Off, Tonemapping::None, DebandDither::Disabled, UNEXPOSED),
         Projection::Perspective(PerspectiveProjection { fov: 0.6, ..default() }),
@@ -62,11 +52,7 @@ pub fn camera(app: &Headless) -> impl Bundle + use<> {
 pub fn mesh(app: &mut Headless, mesh: impl Into<Mesh>, color: LinearRgba, transform: Transform) {
     let world = app.app.world_mut();
     let mesh = world.resource_mut::<Assets<Mesh>>().add(mesh.into());
-    let material = StandardMaterial {
-        base_color: color.into(),
-        unlit: true,
-        ..default()
-    };
+    let material = StandardMaterial { base_color: color.into(), unlit: true, ..default() };
     let material = world.resource_mut::<Assets<StandardMaterial>>().add(material);
     world.spawn((Mesh3d(mesh), MeshMaterial3d(material), transform));
 }
@@ -112,9 +98,7 @@ pub fn save(name: &str, size: UVec2, rgba: &[u8]) {
 
 /// The same of linear radiance over black, as sRGB.
 pub fn save_radiance(name: &str, size: UVec2, pixels: &[[f32; 4]]) {
-    let bytes: Vec<u8> = pixels
-        .iter()
-        .flat_map(|&[r, g, b, _]| Srgba::from(LinearRgba::rgb(r, g, b)).to_u8_array())
-        .collect();
+    let bytes: Vec<u8> =
+        pixels.iter().flat_map(|&[r, g, b, _]| Srgba::from(LinearRgba::rgb(r, g, b)).to_u8_array()).collect();
     save(name, size, &bytes);
 }

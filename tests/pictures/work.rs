@@ -28,9 +28,7 @@ fn set<C: Component<Mutability = bevy::ecs::component::Mutable>>(change: impl Fn
 fn scene(g: f32) -> Headless {
     let mut app = app();
     let (volume, medium, environment, transform) = smoke(&mut app);
-    app.app
-        .world_mut()
-        .spawn((volume, SmokeMedium { g, ..medium }, environment, transform));
+    app.app.world_mut().spawn((volume, SmokeMedium { g, ..medium }, environment, transform));
     let camera = camera(&app);
     app.app.world_mut().spawn(camera);
     draw(&mut app);
@@ -49,21 +47,13 @@ fn only_what_changed_is_computed() {
     let mut app = scene(0.0);
     assert_eq!(dispatches(&app)[..6], [0, 1, 1, 1, 1, 1], "the first frame, once each");
     assert_eq!(after(&mut app, |_| {}), [0; 6], "a static scene");
-    assert_eq!(
-        after(&mut app, move_camera),
-        [0; 6],
-        "isotropic smoke looks the same from everywhere"
-    );
+    assert_eq!(after(&mut app, move_camera), [0; 6], "isotropic smoke looks the same from everywhere");
     let relit = [0, 0, 0, 1, 1, 1];
     assert_eq!(after(&mut app, set::<SmokeMedium>(|m| m.sigma_t *= 1.5)), relit);
     assert_eq!(after(&mut app, set::<SmokeMedium>(|m| m.albedo.red = 0.1)), relit);
     assert_eq!(after(&mut app, set::<Transform>(|t| t.rotate_y(0.3))), relit);
     assert_eq!(after(&mut app, set::<Transform>(|t| t.scale *= 1.1)), relit);
-    assert_eq!(
-        after(&mut app, set::<Transform>(|t| t.translation.x += 0.2)),
-        [0; 6],
-        "distant light stays the same"
-    );
+    assert_eq!(after(&mut app, set::<Transform>(|t| t.translation.x += 0.2)), [0; 6], "distant light stays the same");
     let brighter = set::<SmokeEnvironment>(|e| {
         if let SmokeEnvironment::Coefficients { intensity, .. } = e {
             *intensity *= 2.0;
@@ -88,9 +78,7 @@ fn density_is_shared_between_volumes() {
     let (volume, medium, environment, transform) = smoke(&mut app);
     for x in [-0.5, 0.5] {
         let transform = Transform::from_xyz(x, 0.0, 0.0) * transform;
-        app.app
-            .world_mut()
-            .spawn((volume.clone(), medium, environment.clone(), transform));
+        app.app.world_mut().spawn((volume.clone(), medium, environment.clone(), transform));
     }
     let camera = camera(&app);
     app.app.world_mut().spawn(camera);
@@ -104,10 +92,7 @@ fn volumes_come_and_go() {
     let mut app = scene(0.0);
     assert!(coverage(&app.float_pixels()) > 0.0);
     let world = app.app.world_mut();
-    let volumes: Vec<Entity> = world
-        .query_filtered::<Entity, With<SmokeVolume>>()
-        .iter(world)
-        .collect();
+    let volumes: Vec<Entity> = world.query_filtered::<Entity, With<SmokeVolume>>().iter(world).collect();
     for volume in volumes {
         world.despawn(volume);
     }

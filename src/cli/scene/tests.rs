@@ -27,14 +27,8 @@ fn a_scene() {
     assert!(warnings.is_empty());
     assert_eq!(scene.density.as_deref(), Some(Path::new("scenes/../plume.vdb")));
     assert_eq!(scene.placement, ScenePlacement::File);
-    assert_eq!(
-        (scene.sigma_t, scene.g, scene.albedo),
-        (2.49, -0.5, DVec3::new(0.66, 0.7, 1.0))
-    );
-    assert_eq!(
-        (scene.camera.eye, scene.camera.size),
-        (DVec3::new(0.0, 0.0, 6.0), [72, 120])
-    );
+    assert_eq!((scene.sigma_t, scene.g, scene.albedo), (2.49, -0.5, DVec3::new(0.66, 0.7, 1.0)));
+    assert_eq!((scene.camera.eye, scene.camera.size), (DVec3::new(0.0, 0.0, 6.0), [72, 120]));
 
     let (scene, _) = changed("\"file\"", "\"width\"").unwrap();
     assert_eq!(scene.placement, ScenePlacement::Width(3.0));
@@ -47,13 +41,7 @@ fn lobes_become_their_coefficients() {
     let (scene, _) = parse(PLUME).unwrap();
     let sh = scene.environment.coefficients().unwrap();
     // An order-4 polynomial is its own projection: rounding is all that may differ.
-    for w in [
-        DVec3::Z,
-        -DVec3::Z,
-        DVec3::X,
-        DVec3::new(0.48, -0.6, 0.64),
-        DVec3::new(-2.0, 3.0, 6.0) / 7.0,
-    ] {
+    for w in [DVec3::Z, -DVec3::Z, DVec3::X, DVec3::new(0.48, -0.6, 0.64), DVec3::new(-2.0, 3.0, 6.0) / 7.0] {
         let exact = scene.environment.radiance(w).unwrap();
         assert!((sh.evaluate(w) - exact).length() < 1e-13, "{w}");
     }
@@ -132,10 +120,5 @@ fn errors_name_the_key() {
     let (scene, _) = changed("\"file\"", "\"width\"").unwrap();
     assert_eq!(scene.placement, ScenePlacement::Width(3.0));
     let no_width = PLUME.replace("\"width_m\": 3.0,", "").replace("\"file\"", "\"width\"");
-    assert!(
-        parse(&no_width)
-            .unwrap_err()
-            .to_string()
-            .contains("missing key width_m")
-    );
+    assert!(parse(&no_width).unwrap_err().to_string().contains("missing key width_m"));
 }

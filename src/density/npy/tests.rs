@@ -9,62 +9,28 @@ fn file(name: &str) -> Vec<u8> {
 }
 
 fn path(name: &str) -> std::path::PathBuf {
-    std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/data/npy")
-        .join(name)
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/npy").join(name)
 }
 
 /// A file of one row of text as header, and data.
 fn made(header: &str, data: &[u8]) -> Vec<u8> {
-    [
-        MAGIC,
-        &[1, 0],
-        &(header.len() as u16).to_le_bytes(),
-        header.as_bytes(),
-        data,
-    ]
-    .concat()
+    [MAGIC, &[1, 0], &(header.len() as u16).to_le_bytes(), header.as_bytes(), data].concat()
 }
 
 #[test]
 fn every_float_type_and_order_reads_the_same() {
-    let names = [
-        "f2",
-        "f4",
-        "f8",
-        "f4_big_endian",
-        "f4_fortran",
-        "f8_big_endian_fortran",
-        "f4_version3",
-    ];
+    let names = ["f2", "f4", "f8", "f4_big_endian", "f4_fortran", "f8_big_endian_fortran", "f4_version3"];
     for name in names {
         let grid = read(path(&format!("{name}.npy")), None).unwrap();
         assert_eq!(grid.shape.dims, UVec3::new(4, 5, 6), "{name}");
         for index in 0..grid.shape.len() {
             let cell = grid.shape.cell(index);
             // make.py's formula: exact in every type.
-            assert_eq!(
-                grid.values[index],
-                (cell.x + 10 * cell.y + 100 * cell.z) as f32 / 8.0,
-                "{name}, cell {cell}"
-            );
+            assert_eq!(grid.values[index], (cell.x + 10 * cell.y + 100 * cell.z) as f32 / 8.0, "{name}, cell {cell}");
         }
-        assert_eq!(
-            grid.placement,
-            Placement {
-                center: DVec3::ZERO,
-                voxel_size: 1.0 / 6.0
-            }
-        );
+        assert_eq!(grid.placement, Placement { center: DVec3::ZERO, voxel_size: 1.0 / 6.0 });
         assert_eq!(grid.world_size(), 1.0);
-        assert_eq!(
-            grid.source,
-            SourceInfo {
-                active_voxels: 120,
-                half: name == "f2",
-                ..SourceInfo::default()
-            }
-        );
+        assert_eq!(grid.source, SourceInfo { active_voxels: 120, half: name == "f2", ..SourceInfo::default() });
     }
 }
 
@@ -79,27 +45,18 @@ fn negative_values_become_zero_and_are_counted() {
 fn errors_say_what_is_wrong() {
     let message = |name| read(path(name), None).unwrap_err().to_string();
     for (name, expected) in [
-        (
-            "int.npy",
-            "the array's elements are \"<i4\": save densities as 16-, 32- or 64-bit floats",
-        ),
+        ("int.npy", "the array's elements are \"<i4\": save densities as 16-, 32- or 64-bit floats"),
         ("bool.npy", "the array's elements are \"|b1\""),
         ("complex.npy", "the array's elements are \"<c8\""),
         ("record.npy", "the array's elements are structures"),
-        (
-            "flat.npy",
-            "the array has 2 dimensions: densities need three, [x, y, z]",
-        ),
+        ("flat.npy", "the array has 2 dimensions: densities need three, [x, y, z]"),
         ("empty.npy", "an array of shape (2, 0, 2) has no cells"),
         ("infinite.npy", "the density of voxel (2, 3, 4) is inf"),
         ("make.py", "neither an OpenVDB (.vdb) nor a NumPy (.npy) file"),
         ("missing.npy", "cannot read "),
     ] {
         let message = message(name);
-        assert!(
-            message.contains(expected) && message.contains(name),
-            "{name}: {message}"
-        );
+        assert!(message.contains(expected) && message.contains(name), "{name}: {message}");
     }
 }
 
@@ -113,10 +70,7 @@ fn false_shapes_ask_for_no_memory() {
     assert_eq!(error("(1, 1, 5)"), cut);
     assert_eq!(error("(100000, 100000, 100000)"), cut);
     assert_eq!(error("(18446744073709551615, 18446744073709551615, 2)"), cut);
-    assert_eq!(
-        error("(1, 1, 3)"),
-        "the file is damaged: 16 bytes of values, more than a shape of (1, 1, 3) holds"
-    );
+    assert_eq!(error("(1, 1, 3)"), "the file is damaged: 16 bytes of values, more than a shape of (1, 1, 3) holds");
     assert!(error("(1, 1, -4)").contains("is no shape"));
     assert!(error("(1, 1, 18446744073709551616)").contains("is no shape"));
     assert!(error("4").contains("no tuple"));

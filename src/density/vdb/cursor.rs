@@ -28,17 +28,13 @@ impl<'a> Cursor<'a> {
 
     /// The next `length` bytes. `what` they belong to goes into the error.
     pub fn take(&mut self, length: usize, what: &'static str) -> Result<&'a [u8], DensityError> {
-        let taken = self.bytes[self.position..]
-            .get(..length)
-            .ok_or(DensityError::Truncated(what))?;
+        let taken = self.bytes[self.position..].get(..length).ok_or(DensityError::Truncated(what))?;
         self.position += length;
         Ok(taken)
     }
 
     fn array<const N: usize>(&mut self, what: &'static str) -> Result<[u8; N], DensityError> {
-        let &array = self.bytes[self.position..]
-            .first_chunk()
-            .ok_or(DensityError::Truncated(what))?;
+        let &array = self.bytes[self.position..].first_chunk().ok_or(DensityError::Truncated(what))?;
         self.position += N;
         Ok(array)
     }

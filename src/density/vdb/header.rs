@@ -97,16 +97,9 @@ impl Archive {
                 }
             }
         };
-        let list: Vec<_> = self
-            .grids
-            .iter()
-            .map(|grid| format!("{} ({})", grid.display_name(), grid.value_type()))
-            .collect();
-        let list = if list.is_empty() {
-            "no grids".into()
-        } else {
-            list.join(", ")
-        };
+        let list: Vec<_> =
+            self.grids.iter().map(|grid| format!("{} ({})", grid.display_name(), grid.value_type())).collect();
+        let list = if list.is_empty() { "no grids".into() } else { list.join(", ") };
         Err(DensityError::NoSuchGrid(format!("{missing}. The file has: {list}")))
     }
 
@@ -115,15 +108,10 @@ impl Archive {
         if instance.parent.is_empty() {
             return Ok(None);
         }
-        let parent = self
-            .grids
-            .iter()
-            .find(|grid| grid.unique_name == instance.parent && grid.parent.is_empty());
+        let parent = self.grids.iter().find(|grid| grid.unique_name == instance.parent && grid.parent.is_empty());
         parent.map(Some).ok_or_else(|| {
             let name = instance.display_name();
-            DensityError::Damaged(format!(
-                "the grid \"{name}\" shares the tree of a grid that is not there"
-            ))
+            DensityError::Damaged(format!("the grid \"{name}\" shares the tree of a grid that is not there"))
         })
     }
 }
@@ -144,21 +132,13 @@ impl Descriptor {
             Some(tree) => (tree.to_string(), true),
             None => (tree, false),
         };
-        let mut descriptor = Descriptor {
-            unique_name,
-            tree,
-            half,
-            parent,
-            position: at.position(),
-        };
+        let mut descriptor = Descriptor { unique_name, tree, half, parent, position: at.position() };
         if has_offsets {
             let [position, _, end] = offsets.map(|offset| usize::try_from(offset).unwrap_or(usize::MAX));
             // Forward only, so that a list cannot go round in circles.
             if position < at.position() || end < position {
                 let name = descriptor.display_name();
-                return Err(DensityError::Damaged(format!(
-                    "the offsets of grid \"{name}\" point backwards"
-                )));
+                return Err(DensityError::Damaged(format!("the offsets of grid \"{name}\" point backwards")));
             }
             descriptor.position = position;
             at.seek(end)?;
@@ -183,10 +163,7 @@ impl Descriptor {
 
     /// The type of the values, such as `float` or `vec3s`.
     pub fn value_type(&self) -> &str {
-        let inner = self
-            .tree
-            .strip_prefix("Tree_")
-            .and_then(|tree| tree.strip_suffix("_5_4_3"));
+        let inner = self.tree.strip_prefix("Tree_").and_then(|tree| tree.strip_suffix("_5_4_3"));
         inner.unwrap_or(&self.tree)
     }
 
@@ -217,12 +194,7 @@ impl GridHeader {
             _ => {}
         })?;
         let transform = Transform::read(at)?;
-        Ok(GridHeader {
-            compression,
-            half,
-            level_set,
-            transform,
-        })
+        Ok(GridHeader { compression, half, level_set, transform })
     }
 }
 

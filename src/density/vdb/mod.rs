@@ -87,14 +87,11 @@ fn read_within(bytes: &[u8], name: Option<&str>, max_cells: u64) -> Result<Densi
         DensityError::Unsupported(format!("the transform of grid \"{grid}\" {problem}: resample the grid"))
     })?;
 
-    let dims = (max.as_i64vec3() - min.as_i64vec3() + 1)
-        .to_array()
-        .map(|side| side as u64);
+    let dims = (max.as_i64vec3() - min.as_i64vec3() + 1).to_array().map(|side| side as u64);
     let (shape, mut values) = allocate(dims, topology.background, max_cells)?;
     topology.draw_tiles(shape, min, &mut values);
-    topology.read_leaves(&mut at, &mut reader, |origin, leaf| {
-        tree::draw_leaf(origin, leaf, shape, min, &mut values)
-    })?;
+    topology
+        .read_leaves(&mut at, &mut reader, |origin, leaf| tree::draw_leaf(origin, leaf, shape, min, &mut values))?;
     let negative_voxels = clamp(shape, min, &mut values)?;
     let source = SourceInfo {
         grid,
@@ -105,12 +102,7 @@ fn read_within(bytes: &[u8], name: Option<&str>, max_cells: u64) -> Result<Densi
         background: topology.background,
         negative_voxels,
     };
-    Ok(DensityGrid {
-        shape,
-        values,
-        placement,
-        source,
-    })
+    Ok(DensityGrid { shape, values, placement, source })
 }
 
 /// Moves past a grid's data, for files that do not say where the next grid begins.

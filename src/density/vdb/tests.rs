@@ -12,9 +12,7 @@ use crate::density::read;
 const FEW_CELLS: u64 = 1 << 23;
 
 fn path(name: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/data/vdb")
-        .join(name)
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data/vdb").join(name)
 }
 
 fn file(name: &str) -> Vec<u8> {
@@ -33,10 +31,7 @@ fn expected_line(line: &str) -> (String, DensityGrid, u32) {
     let grid = DensityGrid {
         shape: super::super::GridShape::new(UVec3::new(int(2) as u32, int(3) as u32, int(4) as u32)),
         values: vec![],
-        placement: super::super::Placement {
-            voxel_size: real(8),
-            center: DVec3::new(real(9), real(10), real(11)),
-        },
+        placement: super::super::Placement { voxel_size: real(8), center: DVec3::new(real(9), real(10), real(11)) },
         source: SourceInfo {
             grid: fields[1].into(),
             index_min: IVec3::new(int(5), int(6), int(7)),
@@ -62,10 +57,7 @@ fn every_grid_reads_as_openvdb_reads_it() {
         assert_eq!(grid.source, expected.source, "{what}");
         let distance = (grid.placement.center - expected.placement.center).length();
         // OpenVDB may add in another order: a few roundings of numbers up to 4100.
-        assert!(
-            distance < 1e-12 * (1.0 + expected.placement.center.length()),
-            "{what}: {distance}"
-        );
+        assert!(distance < 1e-12 * (1.0 + expected.placement.center.length()), "{what}: {distance}");
         assert_eq!(grid.placement.voxel_size, expected.placement.voxel_size, "{what}");
         // Every bit of every voxel.
         let bytes: Vec<u8> = grid.values.iter().flat_map(|value| value.to_le_bytes()).collect();
@@ -96,11 +88,7 @@ fn grids_are_chosen_by_name() {
     let heat = read_vdb(&several, Some("heat")).unwrap();
     let flame = read_vdb(&several, Some("flame")).unwrap();
     assert_eq!(heat.values, flame.values, "an instance of heat");
-    assert_eq!(
-        flame.placement.center - heat.placement.center,
-        DVec3::new(1.0, 2.0, 3.0),
-        "placed by itself"
-    );
+    assert_eq!(flame.placement.center - heat.placement.center, DVec3::new(1.0, 2.0, 3.0), "placed by itself");
 
     assert_eq!(
         error("several.vdb", Some("smoke")),
@@ -112,44 +100,26 @@ fn grids_are_chosen_by_name() {
             .contains("several others: name the one to use. The file has: heat (float), flame (float)")
     );
     assert!(error("same_name.vdb", Some("density")).contains("density[0] (float), density[1] (float)"));
-    assert_eq!(
-        read_vdb(&file("same_name.vdb"), Some("density[1]"))
-            .unwrap()
-            .source
-            .grid,
-        "density[1]"
-    );
-    assert_eq!(
-        error("no_grids.vdb", None),
-        "there is no grid of floats. The file has: no grids"
-    );
+    assert_eq!(read_vdb(&file("same_name.vdb"), Some("density[1]")).unwrap().source.grid, "density[1]");
+    assert_eq!(error("no_grids.vdb", None), "there is no grid of floats. The file has: no grids");
 }
 
 #[test]
 fn errors_say_what_is_wrong() {
     for (name, expected) in [
-        (
-            "int.vdb",
-            "the grid \"density\" holds int32: a density is a grid of float or double",
-        ),
+        ("int.vdb", "the grid \"density\" holds int32: a density is a grid of float or double"),
         ("level_set.vdb", "the grid \"surface\" is a level set"),
         ("empty.vdb", "the grid \"density\" is empty: it has no active voxels"),
         ("nan.vdb", "the density of voxel (5, 7, 6) is NaN"),
         ("huge.vdb", "a box of 4001 × 4001 × 4001 cells is too large"),
-        (
-            "stretched.vdb",
-            "the transform of grid \"density\" scales the axes differently",
-        ),
+        ("stretched.vdb", "the transform of grid \"density\" scales the axes differently"),
         ("mirrored.vdb", "the transform of grid \"density\" mirrors"),
         ("rotated.vdb", "the transform of grid \"density\" rotates"),
         ("frustum.vdb", "the grid's transform is a camera frustum"),
         ("make.cpp", "neither an OpenVDB (.vdb) nor a NumPy (.npy) file"),
     ] {
         let message = read(path(name), None).unwrap_err().to_string();
-        assert!(
-            message.contains(expected) && message.contains(name),
-            "{name}: {message}"
-        );
+        assert!(message.contains(expected) && message.contains(name), "{name}: {message}");
     }
 }
 
@@ -164,10 +134,7 @@ fn file_versions() {
     for version in [221u32, 226] {
         bytes[8..12].copy_from_slice(&version.to_le_bytes());
         let message = read_vdb(&bytes, None).unwrap_err().to_string();
-        assert!(
-            message.starts_with(&format!("OpenVDB file version {version} is not supported")),
-            "{message}"
-        );
+        assert!(message.starts_with(&format!("OpenVDB file version {version} is not supported")), "{message}");
     }
 }
 
@@ -177,10 +144,7 @@ fn truncated_files_are_errors() {
         let whole = file(name);
         for length in (0..whole.len()).step_by(7).chain(whole.len() - 20..whole.len()) {
             // The file without offsets is cut inside its second grid at the latest.
-            assert!(
-                read_within(&whole[..length], Some("density"), FEW_CELLS).is_err(),
-                "{name}: {length} bytes"
-            );
+            assert!(read_within(&whole[..length], Some("density"), FEW_CELLS).is_err(), "{name}: {length} bytes");
         }
     }
 }

@@ -44,9 +44,7 @@ impl Transform {
                 ));
             }
             _ => {
-                return Err(DensityError::Unsupported(format!(
-                    "a transform of kind \"{kind}\" is not known"
-                )));
+                return Err(DensityError::Unsupported(format!("a transform of kind \"{kind}\" is not known")));
             }
         };
         Ok(Transform(matrix))

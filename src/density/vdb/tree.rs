@@ -51,32 +51,17 @@ impl<'a> Topology<'a> {
     pub fn read(at: &mut Cursor<'a>, reader: &mut ValueReader) -> Result<Self, DensityError> {
         let buffers = at.i32(WHAT)?;
         if buffers != 1 {
-            return Err(DensityError::Unsupported(format!(
-                "trees with {buffers} buffers are not supported"
-            )));
+            return Err(DensityError::Unsupported(format!("trees with {buffers} buffers are not supported")));
         }
         let background = reader.scalar(at)?;
         reader.background = background;
-        let mut topology = Topology {
-            background,
-            leaves: vec![],
-            tiles: vec![],
-            active_voxels: 0,
-            bounds: None,
-        };
+        let mut topology = Topology { background, leaves: vec![], tiles: vec![], active_voxels: 0, bounds: None };
         let (tiles, children) = (at.u32(WHAT)?, at.u32(WHAT)?);
         for _ in 0..tiles {
             let origin = read_origin(at)?;
             let value = reader.scalar(at)?;
             let active = at.u8(WHAT)? != 0;
-            topology.add_tile(
-                Tile {
-                    origin,
-                    side: UPPER,
-                    value,
-                },
-                active,
-            );
+            topology.add_tile(Tile { origin, side: UPPER, value }, active);
         }
         for _ in 0..children {
             let origin = read_origin(at)?;
@@ -98,31 +83,17 @@ impl<'a> Topology<'a> {
         let has_child = at.take(mask_bytes, WHAT)?;
         let active = at.take(mask_bytes, WHAT)?;
         let child_origin = |index: usize| {
-            let cell = [
-                index / (per_side * per_side),
-                index / per_side % per_side,
-                index % per_side,
-            ];
+            let cell = [index / (per_side * per_side), index / per_side % per_side, index % per_side];
             origin + child_side * IVec3::from_array(cell.map(|c| c as i32))
         };
         for (index, &value) in reader.node(at, active)?.iter().enumerate() {
             if !is_set(has_child, index) {
-                self.add_tile(
-                    Tile {
-                        origin: child_origin(index),
-                        side: child_side,
-                        value,
-                    },
-                    is_set(active, index),
-                );
+                self.add_tile(Tile { origin: child_origin(index), side: child_side, value }, is_set(active, index));
             }
         }
         for index in (0..8 * mask_bytes).filter(|&index| is_set(has_child, index)) {
             if child_side == LEAF {
-                self.add_leaf(Leaf {
-                    origin: child_origin(index),
-                    mask: at.take(LEAF_MASK, WHAT)?,
-                });
+                self.add_leaf(Leaf { origin: child_origin(index), mask: at.take(LEAF_MASK, WHAT)? });
             } else {
                 self.read_node(at, reader, child_origin(index), child_side)?;
             }
@@ -169,10 +140,7 @@ impl<'a> Topology<'a> {
     ) -> Result<(), DensityError> {
         for leaf in &self.leaves {
             if at.take(LEAF_MASK, "a leaf")? != leaf.mask {
-                return Err(DensityError::Damaged(format!(
-                    "the leaf at {} has two different masks",
-                    leaf.origin
-                )));
+                return Err(DensityError::Damaged(format!("the leaf at {} has two different masks", leaf.origin)));
             }
             draw(leaf.origin, reader.node(at, leaf.mask)?);
         }
@@ -225,9 +193,7 @@ fn overlap(origin: IVec3, side: i32, shape: GridShape, min: IVec3) -> [Range<u32
 fn read_origin(at: &mut Cursor) -> Result<IVec3, DensityError> {
     let origin = IVec3::new(at.i32(WHAT)?, at.i32(WHAT)?, at.i32(WHAT)?);
     if origin.to_array().iter().any(|&c| c % UPPER != 0) {
-        return Err(DensityError::Damaged(format!(
-            "{origin} is no place for a node of {UPPER}³ voxels"
-        )));
+        return Err(DensityError::Damaged(format!("{origin} is no place for a node of {UPPER}³ voxels")));
     }
     Ok(origin)
 }

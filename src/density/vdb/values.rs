@@ -49,10 +49,7 @@ impl ValueReader {
             }
         };
         if header.compression & !(ZIP | ACTIVE_MASK | BLOSC) != 0 {
-            return Err(DensityError::Unsupported(format!(
-                "compression {:#x} is not known",
-                header.compression
-            )));
+            return Err(DensityError::Unsupported(format!("compression {:#x} is not known", header.compression)));
         }
         Ok(Self {
             compression: header.compression,
@@ -73,11 +70,7 @@ impl ValueReader {
 
     /// A single value. It has the grid's full width even where node values have half precision.
     pub fn scalar(&self, at: &mut Cursor) -> Result<f32, DensityError> {
-        if self.double {
-            at.f64(WHAT).map(|value| value as f32)
-        } else {
-            at.f32(WHAT)
-        }
+        if self.double { at.f64(WHAT).map(|value| value as f32) } else { at.f32(WHAT) }
     }
 
     /// All values of a node, one per bit of the mask of its active values.
@@ -107,11 +100,7 @@ impl ValueReader {
             5 => ([self.scalar(at)?, self.scalar(at)?], true),
             _ => return Err(DensityError::Damaged(format!("{kind} is no kind of node compression"))),
         };
-        let selection = if selects {
-            Some(at.take(active.len(), WHAT)?)
-        } else {
-            None
-        };
+        let selection = if selects { Some(at.take(active.len(), WHAT)?) } else { None };
 
         let count = 8 * active.len();
         if self.compression & ACTIVE_MASK == 0 || kind == 6 {
@@ -151,19 +140,11 @@ impl ValueReader {
             _ => at.take(length, WHAT)?,
         };
         if self.half {
-            self.stored
-                .extend(bytes.as_chunks().0.iter().map(|&two| f16::from_le_bytes(two).to_f32()));
+            self.stored.extend(bytes.as_chunks().0.iter().map(|&two| f16::from_le_bytes(two).to_f32()));
         } else if self.double {
-            self.stored.extend(
-                bytes
-                    .as_chunks()
-                    .0
-                    .iter()
-                    .map(|&eight| f64::from_le_bytes(eight) as f32),
-            );
+            self.stored.extend(bytes.as_chunks().0.iter().map(|&eight| f64::from_le_bytes(eight) as f32));
         } else {
-            self.stored
-                .extend(bytes.as_chunks().0.iter().map(|&four| f32::from_le_bytes(four)));
+            self.stored.extend(bytes.as_chunks().0.iter().map(|&four| f32::from_le_bytes(four)));
         }
         Ok(())
     }
@@ -190,9 +171,7 @@ fn unpack<'b, 'a: 'b>(
     buffer.clear();
     buffer.resize(length, 0);
     if !method(bytes, buffer) {
-        return Err(DensityError::Damaged(format!(
-            "a compressed block of {packed} bytes does not unpack to {length}"
-        )));
+        return Err(DensityError::Damaged(format!("a compressed block of {packed} bytes does not unpack to {length}")));
     }
     Ok(buffer)
 }

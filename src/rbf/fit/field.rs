@@ -54,31 +54,16 @@ impl Field {
         let mut visible = 0.0;
         for (index, sum) in sums.iter().enumerate() {
             let block = shape.cell(index);
-            let filled = (fine.dims - block * factor)
-                .min(UVec3::splat(factor))
-                .as_dvec3()
-                .element_product();
+            let filled = (fine.dims - block * factor).min(UVec3::splat(factor)).as_dvec3().element_product();
             // mean · √fill = sum / filled · √(filled / cells)
             let value = sum / (filled * cells).sqrt();
             padded[block.x as usize + stride * (block.y + shape.dims.y * block.z) as usize] = value as f32;
             visible += value * value;
         }
         let energy = squares / cells;
-        let centers = std::array::from_fn(|axis| {
-            (0..fine.dims[axis])
-                .map(|i| fine.center(UVec3::splat(i))[axis])
-                .collect()
-        });
-        Self {
-            fine,
-            factor,
-            shape,
-            stride,
-            values: padded,
-            energy,
-            hidden: (energy - visible).max(0.0),
-            centers,
-        }
+        let centers =
+            std::array::from_fn(|axis| (0..fine.dims[axis]).map(|i| fine.center(UVec3::splat(i))[axis]).collect());
+        Self { fine, factor, shape, stride, values: padded, energy, hidden: (energy - visible).max(0.0), centers }
     }
 
     /// Bundle length of a block's side.

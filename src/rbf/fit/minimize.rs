@@ -32,9 +32,7 @@ pub(super) struct Bounds {
 impl Bounds {
     pub fn clamp(&self, rbf: Rbf) -> Rbf {
         Rbf {
-            center: Vec3::from(rbf.center)
-                .clamp(-self.half_extent, self.half_extent)
-                .to_array(),
+            center: Vec3::from(rbf.center).clamp(-self.half_extent, self.half_extent).to_array(),
             radius: rbf.radius.clamp(self.radius.0, self.radius.1),
             weight: rbf.weight.clamp(self.weight.0, self.weight.1),
         }
@@ -71,9 +69,7 @@ pub(super) fn minimize(
     let start = variables(rbfs);
     let scale = scales(rbfs, objective.field.blocks_per_volume());
     let bound = |side: fn((f32, f32)) -> f32| -> Vec<f64> {
-        (0..start.len())
-            .map(|i| f64::from(side(bounds.range(i % VARIABLES))) / scale[i])
-            .collect()
+        (0..start.len()).map(|i| f64::from(side(bounds.range(i % VARIABLES))) / scale[i]).collect()
     };
     let problem = Problem {
         lower: bound(|range| range.0),
@@ -88,15 +84,8 @@ pub(super) fn minimize(
         .with_relative_cost_reduction_tolerance(None);
     let state = FirstOrderState::new(start.iter().zip(&scale).map(|(x, s)| x / s).collect());
     // Bounds and objective are finite, so this does not fail; if it did, the start would stand.
-    let Ok(mut stepper) = Executor::new(problem, solver, state)
-        .max_iter(u64::from(iterations))
-        .into_stepper()
-    else {
-        return Outcome {
-            cost: objective.evaluate(rbfs),
-            iterations: 0,
-            evaluations: 1,
-        };
+    let Ok(mut stepper) = Executor::new(problem, solver, state).max_iter(u64::from(iterations)).into_stepper() else {
+        return Outcome { cost: objective.evaluate(rbfs), iterations: 0, evaluations: 1 };
     };
     let mut costs = vec![2.0 * stepper.state().cost()];
     // It stops by itself at its limit, or where no step helps any more.
@@ -112,11 +101,7 @@ pub(super) fn minimize(
     let best = stepper.state().best_param().clone();
     drop(stepper);
     unpack(&best, &scale, bounds, rbfs);
-    Outcome {
-        cost: objective.evaluate(rbfs),
-        iterations: costs.len() as u32 - 1,
-        evaluations,
-    }
+    Outcome { cost: objective.evaluate(rbfs), iterations: costs.len() as u32 - 1, evaluations }
 }
 
 /// The objective as the minimiser sees it: half the sum of squared errors over scaled variables.
@@ -130,14 +115,7 @@ struct Problem<'a, 'f> {
 
 impl Problem<'_, '_> {
     fn evaluate(&self, variables: &[f64]) -> f64 {
-        let mut rbfs = vec![
-            Rbf {
-                center: [0.0; 3],
-                radius: 0.0,
-                weight: 0.0
-            };
-            variables.len() / VARIABLES
-        ];
+        let mut rbfs = vec![Rbf { center: [0.0; 3], radius: 0.0, weight: 0.0 }; variables.len() / VARIABLES];
         unpack(variables, self.scale, self.bounds, &mut rbfs);
         0.5 * self.objective.borrow_mut().evaluate(&rbfs)
     }
@@ -163,15 +141,7 @@ impl Gradient for Problem<'_, '_> {
     fn cost_and_gradient(&self, variables: &Vec<f64>) -> Result<(f64, Vec<f64>), Infallible> {
         let cost = self.evaluate(variables);
         let gradient = self.objective.borrow().gradient();
-        Ok((
-            cost,
-            gradient
-                .as_flattened()
-                .iter()
-                .zip(self.scale)
-                .map(|(g, s)| g * s)
-                .collect(),
-        ))
+        Ok((cost, gradient.as_flattened().iter().zip(self.scale).map(|(g, s)| g * s).collect()))
     }
 }
 
@@ -185,10 +155,7 @@ impl Constraints for Problem<'_, '_> {
 
 /// The variables of all Gaussians in a row.
 fn variables(rbfs: &[Rbf]) -> Vec<f64> {
-    rbfs.iter()
-        .flat_map(|r| [r.center[0], r.center[1], r.center[2], r.radius, r.weight])
-        .map(f64::from)
-        .collect()
+    rbfs.iter().flat_map(|r| [r.center[0], r.center[1], r.center[2], r.radius, r.weight]).map(f64::from).collect()
 }
 
 /// Units in which a step of 1 costs about the same in every variable: one over the root of the curvature that the
@@ -211,10 +178,6 @@ fn unpack(variables: &[f64], scale: &[f64], bounds: &Bounds, rbfs: &mut [Rbf]) {
     let (scale, _) = scale.as_chunks::<VARIABLES>();
     for ((rbf, v), s) in rbfs.iter_mut().zip(variables).zip(scale) {
         let [x, y, z, radius, weight] = std::array::from_fn(|i| (v[i] * s[i]) as f32);
-        *rbf = bounds.clamp(Rbf {
-            center: [x, y, z],
-            radius,
-            weight,
-        });
+        *rbf = bounds.clamp(Rbf { center: [x, y, z], radius, weight });
     }
 }

@@ -54,11 +54,7 @@ pub struct FitSettings {
 
 impl Default for FitSettings {
     fn default() -> Self {
-        Self {
-            target: FitTarget::Count(600),
-            seed: 1,
-            max_rbfs: 2000,
-        }
+        Self { target: FitTarget::Count(600), seed: 1, max_rbfs: 2000 }
     }
 }
 
@@ -156,13 +152,7 @@ pub fn fit(
     let max = values.iter().copied().fold(0.0, f32::max);
     if max < f32::MIN_POSITIVE {
         let reached = matches!(settings.target, FitTarget::Error(_) | FitTarget::Count(0));
-        return Ok(Fit {
-            model: RbfModel::default(),
-            report: FitReport {
-                reached,
-                ..FitReport::default()
-            },
-        });
+        return Ok(Fit { model: RbfModel::default(), report: FitReport { reached, ..FitReport::default() } });
     }
     Ok(Search::new(shape, values, max, settings.seed, progress).run(settings))
 }
@@ -176,19 +166,12 @@ pub fn relative_error(shape: GridShape, values: &[f32], model: &RbfModel) -> f32
         error += (f64::from(value) - f64::from(fitted)).powi(2);
         energy += f64::from(value).powi(2);
     }
-    if energy > 0.0 {
-        (error / energy).sqrt() as f32
-    } else {
-        0.0
-    }
+    if energy > 0.0 { (error / energy).sqrt() as f32 } else { 0.0 }
 }
 
 fn check(shape: GridShape, values: &[f32]) -> Result<(), FitError> {
     if values.len() != shape.len() {
-        return Err(FitError::Length {
-            expected: shape.len(),
-            found: values.len(),
-        });
+        return Err(FitError::Length { expected: shape.len(), found: values.len() });
     }
     match values.iter().position(|value| !value.is_finite()) {
         Some(index) => Err(FitError::NotFinite(shape.cell(index))),

@@ -25,27 +25,12 @@ impl Splat {
         let reach = SUPPORT * rbf.radius;
         let ranges: [Range<u32>; 3] = std::array::from_fn(|axis| field.blocks_within(axis, rbf.center[axis], reach));
         let moments = |axis: usize| -> Vec<[f32; 3]> {
-            ranges[axis]
-                .clone()
-                .map(|i| field.moments(axis, i, rbf.center[axis], rbf.radius))
-                .collect()
+            ranges[axis].clone().map(|i| field.moments(axis, i, rbf.center[axis], rbf.radius)).collect()
         };
         let rows = moments(0);
         let padded = rows.len().next_multiple_of(LANES);
-        let x = std::array::from_fn(|k| {
-            rows.iter()
-                .map(|m| m[k])
-                .chain(std::iter::repeat(0.0))
-                .take(padded)
-                .collect()
-        });
-        Self {
-            x,
-            y: moments(1),
-            z: moments(2),
-            ranges,
-            rbf,
-        }
+        let x = std::array::from_fn(|k| rows.iter().map(|m| m[k]).chain(std::iter::repeat(0.0)).take(padded).collect());
+        Self { x, y: moments(1), z: moments(2), ranges, rbf }
     }
 
     /// Calls `visit(y, chunk range of x)` for the rows of plane `z` that meet the support.
@@ -64,9 +49,7 @@ impl Splat {
             let chord = chord2.sqrt() / size;
             // Whole chunks: what they hold beyond the chord is below e⁻⁹.
             let first = (offset - chord).max(0.0) as usize / LANES * LANES;
-            let end = ((offset + chord).max(0.0) as usize + 1)
-                .next_multiple_of(LANES)
-                .min(self.x[0].len());
+            let end = ((offset + chord).max(0.0) as usize + 1).next_multiple_of(LANES).min(self.x[0].len());
             if first < end {
                 visit(y, first..end);
             }
@@ -84,20 +67,13 @@ pub(super) struct Objective<'a> {
 
 impl<'a> Objective<'a> {
     pub fn new(field: &'a Field) -> Self {
-        Self {
-            field,
-            splats: Vec::new(),
-            residual: field.values.clone(),
-        }
+        Self { field, splats: Vec::new(), residual: field.values.clone() }
     }
 
     /// Moves to `rbfs` and returns the sum of squared errors there; [`residual`](Self::residual) is up to date.
     pub fn evaluate(&mut self, rbfs: &[Rbf]) -> f64 {
         let field = self.field;
-        rbfs.par_iter()
-            .with_min_len(16)
-            .map(|&rbf| Splat::new(field, rbf))
-            .collect_into_vec(&mut self.splats);
+        rbfs.par_iter().with_min_len(16).map(|&rbf| Splat::new(field, rbf)).collect_into_vec(&mut self.splats);
         let plane = field.stride * field.shape.dims.y as usize;
         let splats = &self.splats;
         let sums: Vec<f64> = self
@@ -119,11 +95,7 @@ impl<'a> Objective<'a> {
     /// Half the gradient of the sum of squared errors at the Gaussians last evaluated: per Gaussian centre, radius,
     /// weight.
     pub fn gradient(&self) -> Vec<[f64; 5]> {
-        self.splats
-            .par_iter()
-            .with_min_len(4)
-            .map(|splat| gradient(splat, self.field, &self.residual))
-            .collect()
+        self.splats.par_iter().with_min_len(4).map(|splat| gradient(splat, self.field, &self.residual)).collect()
     }
 }
 
@@ -158,11 +130,7 @@ fn sum_of_squares(plane: &[f32], field: &Field) -> f64 {
                 *lane += value * value;
             }
         }
-        total += lanes
-            .iter()
-            .chain([&rest.iter().map(|v| v * v).sum()])
-            .map(|&v| f64::from(v))
-            .sum::<f64>();
+        total += lanes.iter().chain([&rest.iter().map(|v| v * v).sum()]).map(|&v| f64::from(v)).sum::<f64>();
     }
     total
 }
@@ -183,11 +151,7 @@ fn gradient(splat: &Splat, field: &Field, residual: &[f32]) -> [f64; 5] {
             let (row, _) = values[start + chunk.start..start + chunk.end].as_chunks::<LANES>();
             let blocks = chunk.start / LANES..chunk.end / LANES;
             let [a, b, c] = &mut columns;
-            let rows = a[blocks.clone()]
-                .iter_mut()
-                .zip(&mut b[blocks.clone()])
-                .zip(&mut c[blocks])
-                .zip(row);
+            let rows = a[blocks.clone()].iter_mut().zip(&mut b[blocks.clone()]).zip(&mut c[blocks]).zip(row);
             for (((a, b), c), row) in rows {
                 for i in 0..LANES {
                     a[i] += m0 * row[i];
@@ -216,11 +180,5 @@ fn gradient(splat: &Splat, field: &Field, residual: &[f32]) -> [f64; 5] {
     }
     // d/dc (w B) = 2 w B u / r, d/dr = 2 w B |u|² / r, and the error is Σ (D − w B)².
     let scale = -2.0 * f64::from(splat.rbf.weight) / f64::from(splat.rbf.radius);
-    [
-        scale * sums[1],
-        scale * sums[2],
-        scale * sums[3],
-        scale * sums[4],
-        -sums[0],
-    ]
+    [scale * sums[1], scale * sums[2], scale * sums[3], scale * sums[4], -sums[0]]
 }

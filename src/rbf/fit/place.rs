@@ -76,15 +76,8 @@ fn maxima(field: &Field, residual: &[f32], bounds: &Bounds, radius: f32) -> Vec<
                     && (z + 1 == dims[2] || at(x, y, z + 1) <= value);
                 if greatest {
                     let center = [(0, x), (1, y), (2, z)].map(|(axis, i)| field.block_center(axis, i as u32));
-                    let rbf = bounds.clamp(Rbf {
-                        center,
-                        radius,
-                        weight: value / norm,
-                    });
-                    found.push(Candidate {
-                        gain: value * value / norm,
-                        rbf,
-                    });
+                    let rbf = bounds.clamp(Rbf { center, radius, weight: value / norm });
+                    found.push(Candidate { gain: value * value / norm, rbf });
                 }
             }
         }

@@ -52,11 +52,7 @@ pub(super) struct Search<'a> {
 
 impl<'a> Search<'a> {
     pub fn new(shape: GridShape, values: &'a [f32], max: f32, seed: u64, progress: &'a dyn Fn(FitProgress)) -> Self {
-        let bounds = Bounds {
-            half_extent: shape.half_extent(),
-            radius: RADIUS,
-            weight: WEIGHT,
-        };
+        let bounds = Bounds { half_extent: shape.half_extent(), radius: RADIUS, weight: WEIGHT };
         let coarse = Field::new(shape, values, 1.0 / max, shape.longest().div_ceil(COARSE));
         Self {
             shape,
@@ -89,10 +85,7 @@ impl<'a> Search<'a> {
         self.report.error = self.error();
         self.done = 1.0;
         self.tell(FitStage::Polish, self.report.error);
-        Fit {
-            model: self.model(),
-            report: self.report,
-        }
+        Fit { model: self.model(), report: self.report }
     }
 
     /// Adds Gaussians in batches until there are `count`, or nothing is left worth one, with a few iterations of the
@@ -112,12 +105,7 @@ impl<'a> Search<'a> {
             if added.is_empty() {
                 // What is left is too small for the coarse copy.
                 objective.evaluate(&self.rbfs);
-                added = propose(
-                    &field,
-                    &objective.residual,
-                    &self.bounds,
-                    batch.min(count) - self.rbfs.len(),
-                );
+                added = propose(&field, &objective.residual, &self.bounds, batch.min(count) - self.rbfs.len());
             }
             if added.is_empty() {
                 break;
@@ -205,11 +193,7 @@ impl<'a> Search<'a> {
         let radius = (RADIUS.0 * RADIUS.1).sqrt();
         while self.rbfs.len() < before {
             let (center, density) = smoke[self.random.below(smoke.len())];
-            self.rbfs.push(self.bounds.clamp(Rbf {
-                center,
-                radius,
-                weight: 0.5 * density,
-            }));
+            self.rbfs.push(self.bounds.clamp(Rbf { center, radius, weight: 0.5 * density }));
         }
         self.report.teleports += count as u32;
     }
@@ -235,21 +219,9 @@ impl<'a> Search<'a> {
         let (fraction, rbfs) = (self.done, self.rbfs.len());
         let progress = self.progress;
         let mut observe = |cost: f64| {
-            progress(FitProgress {
-                stage,
-                fraction,
-                rbfs,
-                error: ((cost + hidden) / energy).sqrt() as f32,
-            });
+            progress(FitProgress { stage, fraction, rbfs, error: ((cost + hidden) / energy).sqrt() as f32 });
         };
-        let outcome = minimize(
-            objective,
-            &mut self.rbfs,
-            &self.bounds,
-            iterations,
-            TOLERANCE,
-            &mut observe,
-        );
+        let outcome = minimize(objective, &mut self.rbfs, &self.bounds, iterations, TOLERANCE, &mut observe);
         self.report.iterations += outcome.iterations;
         self.report.evaluations += outcome.evaluations;
         outcome.cost / energy
@@ -261,16 +233,7 @@ impl<'a> Search<'a> {
 
     /// The model in units of density.
     fn model(&self) -> RbfModel {
-        RbfModel {
-            rbfs: self
-                .rbfs
-                .iter()
-                .map(|rbf| Rbf {
-                    weight: rbf.weight * self.max,
-                    ..*rbf
-                })
-                .collect(),
-        }
+        RbfModel { rbfs: self.rbfs.iter().map(|rbf| Rbf { weight: rbf.weight * self.max, ..*rbf }).collect() }
     }
 
     fn error(&self) -> f32 {
@@ -278,12 +241,7 @@ impl<'a> Search<'a> {
     }
 
     fn tell(&self, stage: FitStage, error: f32) {
-        (self.progress)(FitProgress {
-            stage,
-            fraction: self.done,
-            rbfs: self.rbfs.len(),
-            error,
-        });
+        (self.progress)(FitProgress { stage, fraction: self.done, rbfs: self.rbfs.len(), error });
     }
 
     fn add_seconds(&mut self, stage: FitStage, started: Instant) {
@@ -320,9 +278,7 @@ impl Search<'_> {
                 power = slope(fewer, larger, count, error);
             }
             last = Some((count, error));
-            count = count_for(target, count, error, power)
-                .clamp(count + 1, 2 * count)
-                .min(most);
+            count = count_for(target, count, error, power).clamp(count + 1, 2 * count).min(most);
         }
         let error = loop {
             let grown = self.rbfs.len();
@@ -332,12 +288,7 @@ impl Search<'_> {
                 break error;
             }
             self.until = self.done;
-            self.grow(
-                count_for(target, grown, error, power)
-                    .clamp(grown + 1, 2 * grown)
-                    .min(most),
-                factor,
-            );
+            self.grow(count_for(target, grown, error, power).clamp(grown + 1, 2 * grown).min(most), factor);
             if self.rbfs.len() == grown {
                 break error;
             }

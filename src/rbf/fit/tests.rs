@@ -15,10 +15,7 @@ fn shape(x: u32, y: u32, z: u32) -> GridShape {
 fn quiet(_: FitProgress) {}
 
 fn settings(target: FitTarget) -> FitSettings {
-    FitSettings {
-        target,
-        ..FitSettings::default()
-    }
+    FitSettings { target, ..FitSettings::default() }
 }
 
 /// Random Gaussians of all the sizes that a fit may use.
@@ -40,10 +37,7 @@ fn blobs(shape: GridShape, count: usize, seed: u64) -> RbfModel {
 fn smoke(shape: GridShape, seed: u64) -> Vec<f32> {
     let mut random = Random(seed ^ 99);
     let rough = blobs(shape, 40, seed).rasterize(shape);
-    rough
-        .iter()
-        .map(|value| value * (0.7 + 0.6 * random.below(1000) as f32 / 1000.0))
-        .collect()
+    rough.iter().map(|value| value * (0.7 + 0.6 * random.below(1000) as f32 / 1000.0)).collect()
 }
 
 fn bytes(fit: &Fit) -> Vec<u8> {
@@ -106,10 +100,7 @@ fn gradients_agree_with_differences() {
                 let difference = 0.25 * (cost(step) - cost(-step)) / f64::from(step);
                 // f32 sums and the cut at the edge of the support: 0.5 % of the largest component.
                 let error = (derivative - difference).abs();
-                assert!(
-                    error < 5e-3 * largest,
-                    "{factor} {index} {variable}: {derivative} {difference}"
-                );
+                assert!(error < 5e-3 * largest, "{factor} {index} {variable}: {derivative} {difference}");
             }
         }
     }
@@ -119,21 +110,9 @@ fn gradients_agree_with_differences() {
 fn finds_a_sum_of_gaussians_again() {
     let shape = shape(40, 48, 32);
     let rbfs = vec![
-        Rbf {
-            center: [-0.2, 0.1, 0.05],
-            radius: 0.08,
-            weight: 2.0,
-        },
-        Rbf {
-            center: [0.15, -0.25, -0.1],
-            radius: 0.05,
-            weight: 1.0,
-        },
-        Rbf {
-            center: [0.1, 0.2, 0.1],
-            radius: 0.06,
-            weight: 1.5,
-        },
+        Rbf { center: [-0.2, 0.1, 0.05], radius: 0.08, weight: 2.0 },
+        Rbf { center: [0.15, -0.25, -0.1], radius: 0.05, weight: 1.0 },
+        Rbf { center: [0.1, 0.2, 0.1], radius: 0.06, weight: 1.5 },
     ];
     let values = RbfModel { rbfs }.rasterize(shape);
     let fit = fit(shape, &values, &settings(FitTarget::Count(3)), &quiet).unwrap();
@@ -146,12 +125,7 @@ fn finds_a_sum_of_gaussians_again() {
 fn more_gaussians_fit_better() {
     let shape = shape(48, 64, 48);
     let values = smoke(shape, 11);
-    let errors = [5, 20, 60].map(|n| {
-        fit(shape, &values, &settings(FitTarget::Count(n)), &quiet)
-            .unwrap()
-            .report
-            .error
-    });
+    let errors = [5, 20, 60].map(|n| fit(shape, &values, &settings(FitTarget::Count(n)), &quiet).unwrap().report.error);
     assert!(errors[0] > errors[1] && errors[1] > errors[2], "{errors:?}");
     // What is left is the roughness: uniform in 0.7..1.3, so 0.17 of the density.
     assert!(errors[2] < 0.25, "{errors:?}");
@@ -162,11 +136,7 @@ fn the_same_for_a_seed_on_any_number_of_threads() {
     let shape = shape(40, 56, 36);
     let values = smoke(shape, 13);
     let on = |threads: usize, seed: u64| {
-        let settings = FitSettings {
-            target: FitTarget::Count(40),
-            seed,
-            ..FitSettings::default()
-        };
+        let settings = FitSettings { target: FitTarget::Count(40), seed, ..FitSettings::default() };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         // Callbacks need not be thread-safe, so they are made inside the pool.
         bytes(&pool.install(|| fit(shape, &values, &settings, &quiet).unwrap()))
@@ -185,22 +155,14 @@ fn a_target_error_takes_few_gaussians() {
     let n = reached.model.rbfs.len();
     // A tenth fewer do not reach it.
     let fewer = fit(shape, &values, &settings(FitTarget::Count(n * 9 / 10)), &quiet).unwrap();
-    assert!(
-        fewer.report.error > 0.35,
-        "{n} spent, {} for a tenth fewer",
-        fewer.report.error
-    );
+    assert!(fewer.report.error > 0.35, "{n} spent, {} for a tenth fewer", fewer.report.error);
 }
 
 #[test]
 fn a_target_out_of_reach_gives_the_best() {
     let shape = shape(24, 24, 24);
     let values = smoke(shape, 19);
-    let settings = FitSettings {
-        target: FitTarget::Error(1e-6),
-        max_rbfs: 20,
-        ..FitSettings::default()
-    };
+    let settings = FitSettings { target: FitTarget::Error(1e-6), max_rbfs: 20, ..FitSettings::default() };
     let best = fit(shape, &values, &settings, &quiet).unwrap();
     assert!(!best.report.reached && best.model.rbfs.len() == 20);
     assert!(best.report.error < 0.9, "{}", best.report.error);
@@ -211,13 +173,7 @@ fn grids_of_few_cells() {
     for (x, y, z) in [(1, 1, 1), (2, 1, 1), (1, 7, 1), (16, 16, 1), (1, 200, 2), (3, 3, 3)] {
         let shape = shape(x, y, z);
         for count in [1, 5] {
-            let fit = fit(
-                shape,
-                &vec![2.5; shape.len()],
-                &settings(FitTarget::Count(count)),
-                &quiet,
-            )
-            .unwrap();
+            let fit = fit(shape, &vec![2.5; shape.len()], &settings(FitTarget::Count(count)), &quiet).unwrap();
             assert!(!fit.model.rbfs.is_empty() && fit.model.rbfs.len() <= count);
             assert!(fit.report.error < 1.0, "{x} {y} {z}: {}", fit.report.error);
         }
@@ -245,16 +201,10 @@ fn no_smoke_no_gaussians() {
 fn input_that_makes_no_sense() {
     let shape = shape(2, 2, 2);
     let count = settings(FitTarget::Count(1));
-    assert_eq!(
-        fit(shape, &[1.0; 7], &count, &quiet).unwrap_err(),
-        FitError::Length { expected: 8, found: 7 }
-    );
+    assert_eq!(fit(shape, &[1.0; 7], &count, &quiet).unwrap_err(), FitError::Length { expected: 8, found: 7 });
     let mut values = [1.0; 8];
     values[3] = f32::NAN;
-    assert_eq!(
-        fit(shape, &values, &count, &quiet).unwrap_err(),
-        FitError::NotFinite(UVec3::new(1, 1, 0))
-    );
+    assert_eq!(fit(shape, &values, &count, &quiet).unwrap_err(), FitError::NotFinite(UVec3::new(1, 1, 0)));
     for error in [0.0, -1.0, f32::NAN, f32::INFINITY] {
         let refused = fit(shape, &[1.0; 8], &settings(FitTarget::Error(error)), &quiet);
         assert!(matches!(refused, Err(FitError::Target(_))));
@@ -267,16 +217,10 @@ fn progress_only_rises() {
     let values = smoke(shape, 23);
     for target in [FitTarget::Count(30), FitTarget::Error(0.4)] {
         let seen = RefCell::new(Vec::new());
-        fit(shape, &values, &settings(target), &|progress| {
-            seen.borrow_mut().push(progress)
-        })
-        .unwrap();
+        fit(shape, &values, &settings(target), &|progress| seen.borrow_mut().push(progress)).unwrap();
         let seen = seen.into_inner();
         assert!(seen.windows(2).all(|pair| pair[0].fraction <= pair[1].fraction));
-        assert!(
-            seen.iter()
-                .all(|p| (0.0..=1.0).contains(&p.fraction) && p.error.is_finite())
-        );
+        assert!(seen.iter().all(|p| (0.0..=1.0).contains(&p.fraction) && p.error.is_finite()));
         assert_eq!(seen.last().unwrap().fraction, 1.0);
     }
 }

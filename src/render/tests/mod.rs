@@ -57,11 +57,7 @@ impl Gpu {
             headless = gpu.headless;
         }
         let gpu = Self { headless };
-        let failures: Vec<String> = gpu
-            .passes()
-            .all()
-            .filter_map(|pass| pass.failure(gpu.cache()))
-            .collect();
+        let failures: Vec<String> = gpu.passes().all().filter_map(|pass| pass.failure(gpu.cache())).collect();
         panic!("pipelines are not ready: {failures:?}");
     }
 
@@ -90,9 +86,7 @@ impl Gpu {
     }
 
     fn run_all(&self, jobs: &[(&ComputePass, Job)]) {
-        let mut encoder = self
-            .device()
-            .create_command_encoder(&CommandEncoderDescriptor::default());
+        let mut encoder = self.device().create_command_encoder(&CommandEncoderDescriptor::default());
         for (pass, job) in jobs {
             let mut compute = encoder.begin_compute_pass(&ComputePassDescriptor::default());
             assert!(pass.record(&mut compute, std::slice::from_ref(job), self.cache()));
@@ -120,12 +114,7 @@ impl Gpu {
         let bytes = read_texture(self.device(), self.queue(), texture);
         match texture.format() {
             TextureFormat::R32Float => bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
-            _ => bytes
-                .as_chunks()
-                .0
-                .iter()
-                .map(|b| f16::from_le_bytes(*b).to_f32())
-                .collect(),
+            _ => bytes.as_chunks().0.iter().map(|b| f16::from_le_bytes(*b).to_f32()).collect(),
         }
     }
 
@@ -135,13 +124,9 @@ impl Gpu {
         let texels = (0..shape.len()).map(|i| value(shape.cell(i)));
         let data: Vec<u8> = match format {
             TextureFormat::R32Float => texels.flat_map(f32::to_le_bytes).collect(),
-            _ => texels
-                .flat_map(|v| [v, 0.0, 0.0, 0.0])
-                .flat_map(|v| f16::from_f32(v).to_le_bytes())
-                .collect(),
+            _ => texels.flat_map(|v| [v, 0.0, 0.0, 0.0]).flat_map(|v| f16::from_f32(v).to_le_bytes()).collect(),
         };
-        self.texture(dims, TextureDimension::D3, format, &data)
-            .create_view(&TextureViewDescriptor::default())
+        self.texture(dims, TextureDimension::D3, format, &data).create_view(&TextureViewDescriptor::default())
     }
 
     fn texture(&self, dims: UVec3, dimension: TextureDimension, format: TextureFormat, data: &[u8]) -> Texture {
@@ -149,11 +134,7 @@ impl Gpu {
             self.queue(),
             &TextureDescriptor {
                 label: None,
-                size: Extent3d {
-                    width: dims.x,
-                    height: dims.y,
-                    depth_or_array_layers: dims.z,
-                },
+                size: Extent3d { width: dims.x, height: dims.y, depth_or_array_layers: dims.z },
                 mip_level_count: 1,
                 sample_count: 1,
                 dimension,
@@ -177,10 +158,7 @@ struct Random(u64);
 impl Random {
     fn next(&mut self) -> f64 {
         // Knuth's MMIX generator.
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 40) as f64 / (1u64 << 24) as f64
     }
 
@@ -202,24 +180,11 @@ fn fixture() -> SmokeFrame {
             weight: (0.05 + random.next()) as f32,
         })
         .collect();
-    let law = QuantizationLaw {
-        max: 0.7,
-        exponent: 1.5,
-    };
-    let quantized: Vec<i8> = (0..shape.len())
-        .map(|_| {
-            if random.next() < 0.3 {
-                (random.next() * 254.0 - 127.0) as i8
-            } else {
-                0
-            }
-        })
-        .collect();
+    let law = QuantizationLaw { max: 0.7, exponent: 1.5 };
+    let quantized: Vec<i8> =
+        (0..shape.len()).map(|_| if random.next() < 0.3 { (random.next() * 254.0 - 127.0) as i8 } else { 0 }).collect();
     let residual = HashedResidual::build(shape, &quantized, law).unwrap();
-    SmokeFrame {
-        rbfs: RbfModel { rbfs },
-        residual,
-    }
+    SmokeFrame { rbfs: RbfModel { rbfs }, residual }
 }
 
 fn rbfs(frame: &SmokeFrame) -> &[Rbf] {
@@ -242,10 +207,7 @@ fn distance(found: impl IntoIterator<Item = f64>, expected: impl IntoIterator<It
         norm += e.powi(2);
         count += 1;
     }
-    assert!(
-        found.next().is_none() && count > 0 && norm > 0.0,
-        "the outputs have different sizes, or nothing in them"
-    );
+    assert!(found.next().is_none() && count > 0 && norm > 0.0, "the outputs have different sizes, or nothing in them");
     (difference / norm).sqrt()
 }
 
@@ -258,10 +220,7 @@ fn assert_close(
 ) {
     let distance = distance(found, expected);
     println!("{what}: relative L2 {distance:.2e} (bound {tolerance:.0e})");
-    assert!(
-        distance <= tolerance,
-        "{what}: relative L2 {distance:.3e} is above {tolerance:.0e}"
-    );
+    assert!(distance <= tolerance, "{what}: relative L2 {distance:.3e} is above {tolerance:.0e}");
 }
 
 fn widen(values: &[f32]) -> impl Iterator<Item = f64> + '_ {

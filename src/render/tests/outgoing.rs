@@ -14,45 +14,23 @@ fn check(what: &str, eye: Vec4, viewer: Viewer) {
         .iter()
         .map(|_| std::array::from_fn(|_| Sh(std::array::from_fn(|_| random.vector().as_vec3().as_dvec3()))))
         .collect();
-    let padded: Vec<[f32; 4]> = source
-        .iter()
-        .flatten()
-        .flat_map(|probe| probe.0)
-        .map(|c| c.as_vec3().extend(0.0).to_array())
-        .collect();
+    let padded: Vec<[f32; 4]> =
+        source.iter().flatten().flat_map(|probe| probe.0).map(|c| c.as_vec3().extend(0.0).to_array()).collect();
     assert_eq!(padded.len(), rbfs(&frame).len() * 4 * COEFFICIENTS);
     let probes = gpu.buffer(&padded);
     let output = gpu.buffer(&vec![[0.0_f32; 16]; rbfs(&frame).len()]);
     let look = uniform(gpu.device(), gpu.queue(), "test", LookUniform { eye });
     let pass = &gpu.passes().outgoing;
-    let bindings = Bindings {
-        frame: &uploaded,
-        look: &look,
-        probes: &probes,
-        outgoing: &output,
-    };
+    let bindings = Bindings { frame: &uploaded, look: &look, probes: &probes, outgoing: &output };
     let bind_group = outgoing::bind(pass, bindings, gpu.device(), gpu.cache());
-    gpu.run(
-        pass,
-        Job {
-            bind_group,
-            workgroups: outgoing::workgroups(&uploaded),
-        },
-    );
+    gpu.run(pass, Job { bind_group, workgroups: outgoing::workgroups(&uploaded) });
 
     let found = gpu.read_floats(&output);
-    let found = found
-        .as_chunks::<4>()
-        .0
-        .iter()
-        .flat_map(|c| c[..3].to_vec())
-        .map(f64::from);
+    let found = found.as_chunks::<4>().0.iter().flat_map(|c| c[..3].to_vec()).map(f64::from);
     let expected = reference::outgoing::outgoing(rbfs(&frame), &source, viewer);
     // The gradient's columns are the derivatives along x, y and z.
-    let expected = expected
-        .iter()
-        .flat_map(|o| [o.mean, o.gradient.x_axis, o.gradient.y_axis, o.gradient.z_axis])
-        .flat_map(rgb);
+    let expected =
+        expected.iter().flat_map(|o| [o.mean, o.gradient.x_axis, o.gradient.y_axis, o.gradient.z_axis]).flat_map(rgb);
     assert_close(what, EXACT, found, expected);
 }
 
@@ -60,21 +38,11 @@ fn check(what: &str, eye: Vec4, viewer: Viewer) {
 fn outgoing_matches_its_twin_from_an_eye() {
     // Inside the smoke, where the directions to the probes differ most.
     let eye = Vec3::new(0.11, -0.07, 0.2);
-    check(
-        "outgoing, perspective",
-        eye.extend(1.0),
-        Viewer::Perspective { eye: eye.as_dvec3() },
-    );
+    check("outgoing, perspective", eye.extend(1.0), Viewer::Perspective { eye: eye.as_dvec3() });
 }
 
 #[test]
 fn outgoing_matches_its_twin_under_parallel_rays() {
     let forward = Vec3::new(1.0, -2.0, 0.5).normalize();
-    check(
-        "outgoing, orthographic",
-        forward.extend(0.0),
-        Viewer::Orthographic {
-            forward: forward.as_dvec3(),
-        },
-    );
+    check("outgoing, orthographic", forward.extend(0.0), Viewer::Orthographic { forward: forward.as_dvec3() });
 }

@@ -15,11 +15,7 @@ fn source_radiance_matches_its_twin() {
     let mut uploaded = gpu.frame(&frame);
     uploaded.coarse = gpu.texture_3d(coarse.shape.dims + 2, FILTERED_FORMAT, |texel| {
         let inside = texel.cmpge(UVec3::ONE).all() && texel.cmple(coarse.shape.dims).all();
-        if inside {
-            coarse.values[coarse.shape.index(texel - 1)] as f32
-        } else {
-            0.0
-        }
+        if inside { coarse.values[coarse.shape.index(texel - 1)] as f32 } else { 0.0 }
     });
     assert_eq!(coarse.shape, shape.coarse());
 
@@ -56,13 +52,7 @@ fn source_radiance_matches_its_twin() {
         probes: &probes,
     };
     let bind_group = source_radiance::bind(pass, bindings, gpu.device(), gpu.cache());
-    gpu.run(
-        pass,
-        Job {
-            bind_group,
-            workgroups: source_radiance::workgroups(&uploaded),
-        },
-    );
+    gpu.run(pass, Job { bind_group, workgroups: source_radiance::workgroups(&uploaded) });
 
     let lighting = Lighting {
         environment: Sh(environment),
@@ -73,19 +63,10 @@ fn source_radiance_matches_its_twin() {
             rotation.w.into(),
         )),
     };
-    let medium = reference::Medium {
-        sigma: sigma.into(),
-        albedo: albedo.as_dvec3(),
-        g: g.into(),
-    };
+    let medium = reference::Medium { sigma: sigma.into(), albedo: albedo.as_dvec3(), g: g.into() };
     let expected = reference::source_radiance::source_radiance(rbfs(&frame), &coarse, &lighting, &medium);
     let found = gpu.read_floats(&probes);
-    let found = found
-        .as_chunks::<4>()
-        .0
-        .iter()
-        .flat_map(|c| c[..3].to_vec())
-        .map(f64::from);
+    let found = found.as_chunks::<4>().0.iter().flat_map(|c| c[..3].to_vec()).map(f64::from);
     let expected = expected.iter().flatten().flat_map(|probe| probe.0).flat_map(rgb);
     assert_close("source radiance", HALF, found, expected);
 }

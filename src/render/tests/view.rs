@@ -21,10 +21,7 @@ fn picture(projection: Projection, camera: Transform, volume: Transform) -> (Vec
     let shape = frame.residual.shape();
     let animation = SmokeAnimation {
         shape,
-        placement: Placement {
-            center: DVec3::ZERO,
-            voxel_size: 1.0,
-        },
+        placement: Placement { center: DVec3::ZERO, voxel_size: 1.0 },
         frames_per_second: 30.0,
         max_density: 2.0,
         frames: vec![std::sync::Arc::new(frame)],
@@ -41,14 +38,9 @@ fn picture(projection: Projection, camera: Transform, volume: Transform) -> (Vec
     ));
     world.spawn((
         Camera3d::default(),
-        Camera {
-            clear_color: ClearColorConfig::Custom(Color::NONE),
-            ..default()
-        },
+        Camera { clear_color: ClearColorConfig::Custom(Color::NONE), ..default() },
         (target, Hdr, Msaa::Off, Tonemapping::None, DebandDither::Disabled),
-        Exposure {
-            ev100: -(1.2_f32.log2()),
-        },
+        Exposure { ev100: -(1.2_f32.log2()) },
         projection.clone(),
         camera,
     ));
@@ -70,51 +62,38 @@ fn picture(projection: Projection, camera: Transform, volume: Transform) -> (Vec
     let orthographic = matches!(projection, Projection::Orthographic(_));
     let bundle_from_clip = (volume.to_matrix().inverse() * camera.to_matrix()).as_dmat4()
         * Mat4::inverse(&projection.get_clip_from_view()).as_dmat4();
-    let eye = (volume.to_matrix().inverse() * camera.translation.extend(1.0))
-        .truncate()
-        .as_dvec3();
-    let expected = (0..SIZE.y)
-        .flat_map(|y| (0..SIZE.x).map(move |x| (x, y)))
-        .map(|(x, y)| {
-            let ndc = |at: u32, size: u32| 2.0 * (f64::from(at) + 0.5) / f64::from(size) - 1.0;
-            let point = |depth: f64| {
-                let p = bundle_from_clip * DVec4::new(ndc(x, SIZE.x), -ndc(y, SIZE.y), depth, 1.0);
-                p.truncate() / p.w
-            };
-            // Two points on the ray, at depths between the near and the far plane.
-            let (near, far) = (point(1.0), point(0.5));
-            let ray = Ray::new(if orthographic { near } else { eye }, (far - near).normalize());
-            let sigma = f64::from(sigma_t * volume.scale.x);
-            let (radiance, transmittance) = march(&input, &ray, sigma);
-            [radiance.x, radiance.y, radiance.z, 1.0 - transmittance]
-        });
+    let eye = (volume.to_matrix().inverse() * camera.translation.extend(1.0)).truncate().as_dvec3();
+    let expected = (0..SIZE.y).flat_map(|y| (0..SIZE.x).map(move |x| (x, y))).map(|(x, y)| {
+        let ndc = |at: u32, size: u32| 2.0 * (f64::from(at) + 0.5) / f64::from(size) - 1.0;
+        let point = |depth: f64| {
+            let p = bundle_from_clip * DVec4::new(ndc(x, SIZE.x), -ndc(y, SIZE.y), depth, 1.0);
+            p.truncate() / p.w
+        };
+        // Two points on the ray, at depths between the near and the far plane.
+        let (near, far) = (point(1.0), point(0.5));
+        let ray = Ray::new(if orthographic { near } else { eye }, (far - near).normalize());
+        let sigma = f64::from(sigma_t * volume.scale.x);
+        let (radiance, transmittance) = march(&input, &ray, sigma);
+        [radiance.x, radiance.y, radiance.z, 1.0 - transmittance]
+    });
     (found, expected.collect())
 }
 
 fn check(what: &str, projection: Projection, camera: Transform, volume: Transform) {
     let (found, expected) = picture(projection, camera, volume);
     let covered = expected.iter().filter(|pixel| pixel[3] > 0.02).count();
-    assert!(
-        covered > SIZE.element_product() as usize / 10,
-        "{what}: only {covered} pixels show smoke"
-    );
+    assert!(covered > SIZE.element_product() as usize / 10, "{what}: only {covered} pixels show smoke");
     let flat_found = found.iter().flatten().map(|&v| f64::from(v));
     // The picture is f16; a ray along a face of the box may take one step more or less than the twin's.
     assert_close(what, HALF, flat_found, expected.into_iter().flatten());
 }
 
 fn perspective() -> Projection {
-    Projection::Perspective(PerspectiveProjection {
-        fov: 0.7,
-        near: 1e-3,
-        ..default()
-    })
+    Projection::Perspective(PerspectiveProjection { fov: 0.7, near: 1e-3, ..default() })
 }
 
 fn placed() -> Transform {
-    Transform::from_xyz(0.3, -0.2, 0.1)
-        .with_rotation(Quat::from_rotation_y(0.6))
-        .with_scale(Vec3::splat(2.5))
+    Transform::from_xyz(0.3, -0.2, 0.1).with_rotation(Quat::from_rotation_y(0.6)).with_scale(Vec3::splat(2.5))
 }
 
 #[test]
@@ -134,10 +113,5 @@ fn view_matches_its_twin_under_parallel_rays() {
     let mut projection = OrthographicProjection::default_3d();
     projection.scaling_mode = bevy::camera::ScalingMode::FixedVertical { viewport_height: 3.0 };
     let camera = Transform::from_xyz(2.0, 1.5, 4.0).looking_at(Vec3::ZERO, Vec3::Y);
-    check(
-        "view, orthographic",
-        Projection::Orthographic(projection),
-        camera,
-        placed(),
-    );
+    check("view, orthographic", Projection::Orthographic(projection), camera, placed());
 }

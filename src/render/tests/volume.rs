@@ -10,9 +10,8 @@ fn volume_matches_its_twin() {
     let shape = frame.residual.shape();
     let density = twin_density(&frame);
     let mut uploaded = gpu.frame(&frame);
-    uploaded.density = gpu.texture_3d(shape.dims, TextureFormat::R32Float, |cell| {
-        density.values[shape.index(cell)] as f32
-    });
+    uploaded.density =
+        gpu.texture_3d(shape.dims, TextureFormat::R32Float, |cell| density.values[shape.index(cell)] as f32);
     let mut random = Random(17);
     // Gradients large enough that some cells would go below zero.
     let outgoing: Vec<Outgoing> = rbfs(&frame)
@@ -34,29 +33,14 @@ fn volume_matches_its_twin() {
     let buffer = gpu.buffer(&packed);
     let output = texture_3d(gpu.device(), "test", shape.dims + 2, FILTERED_FORMAT);
     let pass = &gpu.passes().volume;
-    let bindings = Bindings {
-        frame: &uploaded,
-        outgoing: &buffer,
-        volume: &output,
-    };
+    let bindings = Bindings { frame: &uploaded, outgoing: &buffer, volume: &output };
     let bind_group = volume::bind(pass, bindings, gpu.device(), gpu.cache());
-    gpu.run(
-        pass,
-        Job {
-            bind_group,
-            workgroups: volume::workgroups(shape),
-        },
-    );
+    gpu.run(pass, Job { bind_group, workgroups: volume::workgroups(shape) });
 
     let texels = gpu.read_texels(&output);
     let texels = texels.as_chunks::<4>().0;
     let twin = reference::volume::volume(rbfs(&frame), &outgoing, &RbfBins::new(rbfs(&frame), shape), &density);
-    assert_close(
-        "volume, density",
-        HALF,
-        texels.iter().map(|t| t[3].into()),
-        twin.density.iter().copied(),
-    );
+    assert_close("volume, density", HALF, texels.iter().map(|t| t[3].into()), twin.density.iter().copied());
     // Where no density is near, the pass leaves black what the twin still computes: nothing ever reads it.
     let padded = GridShape::new(shape.dims + 2);
     let read = |i: &usize| {
