@@ -68,8 +68,8 @@ pub fn setup(
 ) {
     commands.spawn((
         SmokeVolume::new(assets.load("plume.smoke")),
-        SmokeMedium { sigma_t: 8.0, albedo: LinearRgba::rgb(0.85, 0.83, 0.8), g: 0.2 },
-        Transform::from_xyz(0.0, 1.5, 0.0).with_scale(Vec3::splat(3.0)),
+        SmokeMedium { sigma_t: 12.0, albedo: LinearRgba::rgb(0.95, 0.94, 0.92), g: 0.2 },
+        Transform::from_xyz(0.0, 1.7, 0.0).with_scale(Vec3::splat(3.4)),
     ));
 
     let mut mesh = |mesh: Mesh, color: Color, transform: Transform| {
@@ -83,25 +83,25 @@ pub fn setup(
         Color::srgb(0.8, 0.6, 0.1),
     );
     mesh(Plane3d::default().mesh().size(30.0, 30.0).build(), ground, Transform::IDENTITY);
-    mesh(Sphere::new(0.4).into(), red, Transform::from_xyz(-0.35, 0.9, 1.6));
+    mesh(Sphere::new(0.35).into(), red, Transform::from_xyz(-0.35, 0.35, 1.4));
     mesh(Cuboid::new(2.2, 1.6, 0.2).into(), blue, Transform::from_xyz(0.6, 1.4, -1.6));
     mesh(Cylinder::new(0.1, 2.6).into(), yellow, Transform::from_xyz(0.15, 1.3, 0.0));
 
     commands.spawn((
-        DirectionalLight { illuminance: 2_000.0, ..default() },
+        DirectionalLight { illuminance: 350.0, ..default() },
         Transform::from_xyz(4.0, 6.0, 3.0).looking_at(Vec3::ZERO, Vec3::Y),
     ));
     let (sky, horizon, below) =
         (Color::srgb(0.7, 0.82, 1.0), Color::srgb(0.9, 0.85, 0.8), Color::srgb(0.25, 0.22, 0.2));
     commands.spawn((
         Camera3d::default(),
-        Camera { clear_color: ClearColorConfig::Custom(Color::srgb(0.45, 0.6, 0.8)), ..default() },
+        Camera { clear_color: ClearColorConfig::Custom(Color::srgb(0.25, 0.38, 0.55)), ..default() },
         Exposure::INDOOR,
         EnvironmentMapLight {
-            intensity: 400.0,
+            intensity: 130.0,
             ..EnvironmentMapLight::hemispherical_gradient(&mut images, sky, horizon, below)
         },
-        Transform::from_xyz(0.0, 1.8, 6.5).looking_at(Vec3::new(0.0, 1.4, 0.0), Vec3::Y),
+        Transform::from_xyz(0.0, 1.8, 5.4).looking_at(Vec3::new(0.0, 1.6, 0.0), Vec3::Y),
     ));
 }
 

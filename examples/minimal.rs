@@ -29,6 +29,6 @@ pub fn setup(mut commands: Commands, assets: Res<AssetServer>, mut images: ResMu
             intensity: 400.0,
             ..EnvironmentMapLight::hemispherical_gradient(&mut images, sky, horizon, ground)
         },
-        Transform::from_xyz(0.0, 0.5, 6.0).looking_at(Vec3::ZERO, Vec3::Y),
+        Transform::from_xyz(0.0, 0.5, 4.6).looking_at(Vec3::ZERO, Vec3::Y),
     ));
 }

@@ -130,6 +130,12 @@ impl Headless {
         Err(HeadlessError::NothingDrawn(FRAMES))
     }
 
+    /// Waits until the GPU has done all that it was given.
+    pub fn wait(&self) {
+        let device = self.app.world().resource::<RenderDevice>();
+        device.poll(PollType::wait_indefinitely()).expect("the device answers");
+    }
+
     /// The image's pixels, rows from the top, each RGBA in the image's format; sRGB formats stay encoded.
     pub fn pixels(&self) -> Vec<u8> {
         let images = self.app.sub_app(RenderApp).world().resource::<RenderAssets<GpuImage>>();

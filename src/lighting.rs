@@ -8,8 +8,8 @@ pub type EnvironmentCoefficients = [Vec3; 16];
 /// The environment that lights a volume of smoke. On a [`SmokeVolume`](crate::volume::SmokeVolume) it is that volume's
 /// light for every camera; by default each camera's own environment map lights it.
 ///
-/// Smoke sees the environment through four bands of spherical harmonics: skies, rooms and soft lamps are exact to a
-/// few percent, a sharp sun in the map is spread to about 60°.
+/// Smoke sees the environment through four bands of spherical harmonics: skies, rooms and soft lamps are kept, a sharp
+/// sun in the map is spread to about 60°.
 ///
 /// Radiances are in cd/m² and exposed by the camera like everything else Bevy draws.
 #[derive(Component, Clone, Debug, Default, PartialEq, Reflect)]

@@ -18,8 +18,8 @@ pub struct SmokeMedium {
     pub albedo: LinearRgba,
     /// Henyey–Greenstein asymmetry g in -0.95..=0.95: 0 scatters evenly, above 0 forward, below 0 back.
     ///
-    /// The phase function is kept to four bands of spherical harmonics: within 3 % of the picture up to |g| = 0.6,
-    /// and blunter than it should be beyond.
+    /// The phase function is kept to four bands of spherical harmonics, its factors g, g² and g³: mild phases are kept
+    /// well, and the nearer |g| is to 1 the blunter they get.
     pub g: f32,
 }
 

@@ -69,7 +69,7 @@ fn update_bounds(
             continue;
         }
         if let Some(animation) = animations.get(&volume.animation) {
-            let half_extents = Vec3::from(animation.shape.half_extent()).into();
+            let half_extents = animation.shape.half_extent().into();
             commands.entity(entity).try_insert(Aabb { center: Vec3::ZERO.into(), half_extents });
         }
     }

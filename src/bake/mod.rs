@@ -24,7 +24,7 @@ pub use verify::{QuantizationReport, Worst};
 /// The exponents that a bake may choose from.
 pub const EXPONENTS: [f32; 4] = [1.0, 1.5, 2.0, 3.0];
 /// Relative error of the picture ([`picture_error`]) that quantisation may cause before a larger exponent is taken.
-pub const PICTURE_BUDGET: f64 = 0.002;
+pub const PICTURE_BUDGET: f64 = 0.0025;
 
 /// What to bake for.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,6 +1,7 @@
 //! `smoke render`: draws a scene with the real plug-in in a windowless app.
 
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
 use bevy::asset::RenderAssetUsages;
@@ -113,6 +114,8 @@ struct Stats {
     rbfs: usize,
     probes: usize,
     frames: u32,
+    /// Median milliseconds of a whole frame after the first, by the clock, GPU work included; null where there were none.
+    steady_frame_ms: Option<f64>,
     passes: Vec<PassStats>,
 }
 
@@ -169,8 +172,12 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     let mut counts = vec![[0; SmokeRenderStats::PASSES.len()]];
     headless.settle()?;
     counts.push(headless.app.world().resource::<SmokeRenderStats>().dispatches());
+    let mut frame_ms = Vec::new();
     for _ in 1..args.frames {
+        let start = Instant::now();
         headless.app.update();
+        headless.wait();
+        frame_ms.push(1e3 * start.elapsed().as_secs_f64());
         counts.push(headless.app.world().resource::<SmokeRenderStats>().dispatches());
     }
     let pixels = average(&headless.float_pixels(), size, rays);
@@ -198,6 +205,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
             rbfs,
             probes: 4 * rbfs,
             frames: args.frames,
+            steady_frame_ms: median(frame_ms),
             passes: pass_stats(&counts, world.resource()),
         };
         file.write(&serde_json::to_vec_pretty(&stats)?)?;

@@ -156,7 +156,6 @@ struct Lit<'a> {
 }
 
 /// Lists this frame's work, and every view's volumes from far to near.
-#[expect(clippy::too_many_arguments, reason = "a system")]
 pub(super) fn prepare_smoke(
     mut commands: Commands,
     mut work: ResMut<SmokeWork>,
@@ -523,7 +522,6 @@ impl LitVolume {
     }
 
     /// The 3D texture for a view.
-    #[expect(clippy::too_many_arguments, reason = "all of it is context")]
     fn slice(
         &mut self,
         view: Option<RetainedViewEntity>,

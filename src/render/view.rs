@@ -224,7 +224,6 @@ pub(super) struct ToneMappingTables<'w> {
 }
 
 /// Draws the view's volumes.
-#[expect(clippy::too_many_arguments, reason = "a system")]
 pub(super) fn view(
     view: ViewQuery<(
         &ViewTarget,

@@ -42,3 +42,78 @@ impl Shaders {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    //! Every WGSL file, composed and validated without a graphics adapter.
+
+    use std::collections::HashMap;
+
+    use naga::valid::{Capabilities, ValidationFlags, Validator};
+    use naga_oil::compose::{
+        ComposableModuleDescriptor, Composer, NagaModuleDescriptor, ShaderDefValue, ShaderLanguage, ShaderType,
+    };
+
+    /// What `view.wgsl` takes of Bevy: the same names and types, no more.
+    const BEVY_VIEW: &str = "#define_import_path bevy_render::view
+        struct ColorGrading { exposure: f32 }
+        struct View { viewport: vec4<f32>, color_grading: ColorGrading }";
+    const BEVY_TONEMAPPING: &str = "#define_import_path bevy_core_pipeline::tonemapping
+        #import bevy_render::view::ColorGrading
+        fn tone_mapping(color: vec4<f32>, grading: ColorGrading) -> vec4<f32> { return color * grading.exposure; }";
+
+    fn validate(name: &str, source: &str, defs: &[&str]) {
+        let mut composer = Composer::default();
+        let libraries = [
+            ("frame.wgsl", include_str!("frame.wgsl")),
+            ("lighting.wgsl", include_str!("lighting.wgsl")),
+            ("sh.wgsl", include_str!("sh.wgsl")),
+            ("bevy view", BEVY_VIEW),
+            ("bevy tonemapping", BEVY_TONEMAPPING),
+        ];
+        for (file_path, source) in libraries {
+            composer
+                .add_composable_module(ComposableModuleDescriptor {
+                    source,
+                    file_path,
+                    language: ShaderLanguage::Wgsl,
+                    ..Default::default()
+                })
+                .unwrap_or_else(|error| panic!("{file_path}: {}", error.emit_to_string(&Composer::default())));
+        }
+        let shader_defs: HashMap<_, _> = defs.iter().map(|def| (def.to_string(), ShaderDefValue::Bool(true))).collect();
+        let module = composer
+            .make_naga_module(NagaModuleDescriptor {
+                source,
+                file_path: name,
+                shader_type: ShaderType::Wgsl,
+                shader_defs,
+                ..Default::default()
+            })
+            .unwrap_or_else(|error| panic!("{name} {defs:?}: {}", error.emit_to_string(&composer)));
+        assert!(!module.entry_points.is_empty(), "{name} has no entry point");
+        // No capabilities: what every WebGPU device can do.
+        Validator::new(ValidationFlags::all(), Capabilities::empty())
+            .validate(&module)
+            .unwrap_or_else(|error| panic!("{name} {defs:?}: {error:?}"));
+    }
+
+    #[test]
+    fn compute_shaders_are_valid() {
+        validate("environment.wgsl", include_str!("environment.wgsl"), &[]);
+        validate("environment.wgsl", include_str!("environment.wgsl"), &["EQUIRECT"]);
+        validate("density.wgsl", include_str!("density.wgsl"), &[]);
+        validate("coarse.wgsl", include_str!("coarse.wgsl"), &[]);
+        validate("source_radiance.wgsl", include_str!("source_radiance.wgsl"), &[]);
+        validate("outgoing.wgsl", include_str!("outgoing.wgsl"), &[]);
+        validate("volume.wgsl", include_str!("volume.wgsl"), &[]);
+    }
+
+    #[test]
+    fn the_view_shader_is_valid_in_every_variant() {
+        let source = include_str!("view.wgsl");
+        for defs in [&[][..], &["MULTISAMPLED"], &["TONEMAP_IN_SHADER"], &["MULTISAMPLED", "TONEMAP_IN_SHADER"]] {
+            validate("view.wgsl", source, defs);
+        }
+    }
+}

@@ -42,7 +42,7 @@ fn minimal_shows_smoke() {
 
 #[test]
 fn demo_shows_smoke_and_meshes() {
-    let size = UVec2::new(320, 240);
+    let size = UVec2::new(480, 360);
     let pixels = picture("demo", size, demo::setup);
     let count = |is: &dyn Fn([u8; 4]) -> bool| pixels.iter().filter(|pixel| is(**pixel)).count();
     let red = count(&|[r, g, b, _]| u32::from(r) > 2 * u32::from(g) && u32::from(r) > 2 * u32::from(b));
