@@ -42,6 +42,10 @@ fn picture(file: &str) -> ExitCode {
         headless.app.add_systems(Startup, setup);
         headless.draw_cameras_to_image();
         headless.settle()?;
+        // Meshes and their textures take a few frames more.
+        for _ in 0..3 {
+            headless.app.update();
+        }
         Ok(headless.pixels())
     });
     let saved = drawn.map_err(|error| error.to_string()).and_then(|pixels| {
@@ -68,7 +72,7 @@ pub fn setup(
 ) {
     commands.spawn((
         SmokeVolume::new(assets.load("plume.smoke")),
-        SmokeMedium { sigma_t: 12.0, albedo: LinearRgba::rgb(0.95, 0.94, 0.92), g: 0.2 },
+        SmokeMedium { sigma_t: 9.0, albedo: LinearRgba::rgb(0.95, 0.94, 0.92), g: 0.2 },
         Transform::from_xyz(0.0, 1.7, 0.0).with_scale(Vec3::splat(3.4)),
     ));
 
@@ -83,12 +87,12 @@ pub fn setup(
         Color::srgb(0.8, 0.6, 0.1),
     );
     mesh(Plane3d::default().mesh().size(30.0, 30.0).build(), ground, Transform::IDENTITY);
-    mesh(Sphere::new(0.35).into(), red, Transform::from_xyz(-0.35, 0.35, 1.4));
+    mesh(Sphere::new(0.5).into(), red, Transform::from_xyz(-0.4, 0.5, 1.2));
     mesh(Cuboid::new(2.2, 1.6, 0.2).into(), blue, Transform::from_xyz(0.6, 1.4, -1.6));
     mesh(Cylinder::new(0.1, 2.6).into(), yellow, Transform::from_xyz(0.15, 1.3, 0.0));
 
     commands.spawn((
-        DirectionalLight { illuminance: 350.0, ..default() },
+        DirectionalLight { illuminance: 250.0, ..default() },
         Transform::from_xyz(4.0, 6.0, 3.0).looking_at(Vec3::ZERO, Vec3::Y),
     ));
     let (sky, horizon, below) =
@@ -98,7 +102,7 @@ pub fn setup(
         Camera { clear_color: ClearColorConfig::Custom(Color::srgb(0.25, 0.38, 0.55)), ..default() },
         Exposure::INDOOR,
         EnvironmentMapLight {
-            intensity: 130.0,
+            intensity: 220.0,
             ..EnvironmentMapLight::hemispherical_gradient(&mut images, sky, horizon, below)
         },
         Transform::from_xyz(0.0, 1.8, 5.4).looking_at(Vec3::new(0.0, 1.6, 0.0), Vec3::Y),

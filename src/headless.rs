@@ -2,7 +2,7 @@
 //! the pictures in the documentation.
 
 use std::sync::Once;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bevy::asset::RenderAssetUsages;
 use bevy::camera::RenderTarget;
@@ -45,9 +45,9 @@ pub enum HeadlessError {
         "no graphics adapter found: install a Vulkan driver (on Debian, `apt install mesa-vulkan-drivers` gives one that needs no GPU)"
     )]
     NoAdapter,
-    /// The smoke did not appear.
-    #[error("no smoke was drawn in {0} frames: see the log for the cause")]
-    NothingDrawn(u32),
+    /// The smoke did not appear: it is out of sight, or what it needs has not loaded (then the log says why).
+    #[error("no smoke was drawn: it is out of sight, or an asset is missing (see the log)")]
+    NothingDrawn,
 }
 
 impl Headless {
@@ -111,15 +111,18 @@ impl Headless {
         });
     }
 
-    /// Updates until smoke has been drawn, at most for ten seconds of game time.
+    /// Updates until smoke has been drawn, or until 2 seconds and 60 updates have passed.
     ///
     /// # Errors
     ///
     /// [`HeadlessError::NothingDrawn`] when it never is.
     pub fn settle(&mut self) -> Result<(), HeadlessError> {
-        const FRAMES: u32 = 600;
+        let start = Instant::now();
         let view = SmokeRenderStats::PASSES.len() - 1;
-        for _ in 0..FRAMES {
+        for update in 0.. {
+            if update >= 60 && start.elapsed() > Duration::from_secs(2) {
+                break;
+            }
             self.app.update();
             if self.app.world().resource::<SmokeRenderStats>().dispatches()[view] > 0 {
                 return Ok(());
@@ -127,7 +130,7 @@ impl Headless {
             // Assets load on other threads.
             std::thread::sleep(Duration::from_millis(2));
         }
-        Err(HeadlessError::NothingDrawn(FRAMES))
+        Err(HeadlessError::NothingDrawn)
     }
 
     /// Waits until the GPU has done all that it was given.

@@ -9,7 +9,7 @@ use bevy::prelude::*;
 #[derive(Component, Clone, Copy, Debug, PartialEq, Reflect)]
 #[reflect(Component, Default, Debug, Clone, PartialEq)]
 pub struct SmokeMedium {
-    /// Extinction cross-section σ_t: extinction per world metre and unit of density, at least 0. A ray that crosses a
+    /// Extinction cross-section σ_t: extinction per world metre and unit of density, 0 to 1e9. A ray that crosses a
     /// length `l` of density `D` keeps `exp(-sigma_t * D * l)` of its light. Scaling a volume by 2 doubles its
     /// optical depth.
     pub sigma_t: f32,
@@ -27,6 +27,9 @@ impl SmokeMedium {
     /// Largest |g| that is drawn.
     pub const MAX_ASYMMETRY: f32 = 0.95;
 
+    /// Largest σ_t that is drawn.
+    pub const MAX_EXTINCTION: f32 = 1e9;
+
     /// The medium with every value inside its range; what is not a number becomes the default's value.
     pub fn clamped(&self) -> Self {
         let default = Self::default();
@@ -34,7 +37,7 @@ impl SmokeMedium {
             if value.is_nan() { default } else { value.clamp(low, high) }
         };
         Self {
-            sigma_t: fix(self.sigma_t, 0.0, f32::MAX, default.sigma_t),
+            sigma_t: fix(self.sigma_t, 0.0, Self::MAX_EXTINCTION, default.sigma_t),
             albedo: LinearRgba::rgb(
                 fix(self.albedo.red, 0.0, 1.0, default.albedo.red),
                 fix(self.albedo.green, 0.0, 1.0, default.albedo.green),
@@ -66,6 +69,6 @@ mod tests {
         assert_eq!(mended.albedo, LinearRgba::rgb(0.0, 1.0, 0.8));
         assert_eq!(mended.g, SmokeMedium::MAX_ASYMMETRY);
         assert_eq!(SmokeMedium { sigma_t: -1.0, ..good }.clamped().sigma_t, 0.0);
-        assert_eq!(SmokeMedium { sigma_t: f32::INFINITY, ..good }.clamped().sigma_t, f32::MAX);
+        assert_eq!(SmokeMedium { sigma_t: f32::INFINITY, ..good }.clamped().sigma_t, SmokeMedium::MAX_EXTINCTION);
     }
 }

@@ -10,7 +10,7 @@ use crate::rbf::{Rbf, RbfModel};
 use crate::residual::{HashedResidual, QuantizationLaw};
 
 /// Gaussians in a frame, at most.
-pub const MAX_RBFS: u32 = 65_536;
+pub const MAX_RBFS: u32 = 65_535;
 /// Radius of a Gaussian in bundle units, at least: far below the smallest cell.
 pub const MIN_RADIUS: f32 = 1e-6;
 /// Radius of a Gaussian in bundle units, at most: four times the box.

@@ -25,7 +25,7 @@ enum Cli {
     /// Show what a .smoke bundle holds, and check it for damage
     #[command(after_help = info::EXAMPLES)]
     Info(info::InfoArgs),
-    /// Draw a bundle or a density file to an image, as the plug-in draws it in a game
+    /// Draw a bundle to an image, as the plug-in draws it in a game
     Render(render::RenderArgs),
     /// Measure the error of an image against a reference
     #[command(after_help = compare::EXAMPLES)]

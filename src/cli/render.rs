@@ -7,7 +7,7 @@ use anyhow::{Context, bail, ensure};
 use bevy::asset::RenderAssetUsages;
 use bevy::camera::{Exposure, Hdr};
 use bevy::core_pipeline::tonemapping::{DebandDither, Tonemapping};
-use bevy::diagnostic::{Diagnostic, DiagnosticPath, DiagnosticsStore};
+use bevy::diagnostic::{DEFAULT_MAX_HISTORY_LENGTH, Diagnostic, DiagnosticPath, DiagnosticsStore};
 use bevy::prelude::*;
 use bevy::render::render_resource::{Extent3d, TextureDimension, TextureFormat};
 use bevy::render::renderer::RenderAdapterInfo;
@@ -18,7 +18,7 @@ use super::exr_io::{ExrImage, encode_rgba};
 use super::output::OutputFile;
 use super::scene::{Environment, Scene, ScenePlacement};
 use crate::bundle::{self, SmokeAnimation};
-use crate::headless::Headless;
+use crate::headless::{Headless, HeadlessError};
 use crate::prelude::*;
 use crate::render::SmokeRenderStats;
 
@@ -146,9 +146,13 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     for warning in warnings {
         eprintln!("warning: {}: {warning}", args.scene.display());
     }
-    let inputs = [args.input.as_path(), args.scene.as_path()];
-    let output = OutputFile::prepare(&args.output, &inputs)?;
-    let stats_file = args.stats.as_deref().map(|path| OutputFile::prepare(path, &inputs)).transpose()?;
+    let mut taken = vec![args.input.as_path(), args.scene.as_path()];
+    if let Environment::Equirect(path) = &scene.environment {
+        taken.push(path);
+    }
+    let output = OutputFile::prepare(&args.output, &taken)?;
+    taken.push(&args.output);
+    let stats_file = args.stats.as_deref().map(|path| OutputFile::prepare(path, &taken)).transpose()?;
     let animation = read_bundle(&args.input)?;
     let frame_count = animation.frames.len() as u32;
     ensure!(args.frame < frame_count, "frame {} of a bundle that has {frame_count}, counted from 0", args.frame);
@@ -166,11 +170,16 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     let rbfs = animation.frames[args.frame as usize].rbfs.rbfs.len();
     let cells = animation.shape.dims.to_array();
     let mut headless = Headless::new(drawn.into(), TextureFormat::Rgba16Float)?;
-    spawn_scene(&mut headless, &scene, animation, args.frame)?;
+    let unit = spawn_scene(&mut headless, &scene, animation, args.frame)?;
 
     // The first frame is the one in which the smoke appears.
     let mut counts = vec![[0; SmokeRenderStats::PASSES.len()]];
-    headless.settle()?;
+    match headless.settle() {
+        Err(HeadlessError::NothingDrawn) => {
+            eprintln!("warning: {}: the camera does not see the smoke: the picture is empty", args.scene.display());
+        }
+        result => result?,
+    }
     counts.push(headless.app.world().resource::<SmokeRenderStats>().dispatches());
     let mut frame_ms = Vec::new();
     for _ in 1..args.frames {
@@ -180,7 +189,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
         frame_ms.push(1e3 * start.elapsed().as_secs_f64());
         counts.push(headless.app.world().resource::<SmokeRenderStats>().dispatches());
     }
-    let pixels = average(&headless.float_pixels(), size, rays);
+    let pixels = average(&headless.float_pixels(), size, rays, unit);
     ensure!(
         pixels.iter().flatten().all(|value| value.is_finite()),
         "the picture has pixels that are not finite: this is a fault of bevy_smoke, please report the scene"
@@ -216,8 +225,8 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
 /// The longest side of a texture that every adapter allows.
 const MAX_SIDE: u32 = 8192;
 
-/// Means of blocks of `rays` × `rays`: a box filter over each pixel.
-fn average(fine: &[[f32; 4]], [width, height]: [u32; 2], rays: u32) -> Vec<[f32; 4]> {
+/// Means of blocks of `rays` × `rays`, a box filter over each pixel; colours times `unit`.
+fn average(fine: &[[f32; 4]], [width, height]: [u32; 2], rays: u32, unit: f32) -> Vec<[f32; 4]> {
     let weight = 1.0 / f64::from(rays * rays);
     let mut pixels = Vec::with_capacity((width * height) as usize);
     for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
@@ -228,7 +237,8 @@ fn average(fine: &[[f32; 4]], [width, height]: [u32; 2], rays: u32) -> Vec<[f32;
                 *sum += f64::from(value);
             }
         }
-        pixels.push(sum.map(|sum| (sum * weight) as f32));
+        let [r, g, b, a] = sum.map(|sum| (sum * weight) as f32);
+        pixels.push([r * unit, g * unit, b * unit, a]);
     }
     pixels
 }
@@ -260,8 +270,9 @@ fn read_bundle(path: &Path) -> anyhow::Result<SmokeAnimation> {
     bundle::read(&bytes).with_context(|| path.display().to_string())
 }
 
-/// Spawns the volume and a camera that shows radiance as it is: exposure 1, no tone mapping, no dithering.
-fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation, frame: u32) -> anyhow::Result<()> {
+/// Spawns the volume and a camera that shows radiance as it is: exposure 1, no tone mapping, no dithering. Returns the
+/// radiance that 1 in the picture stands for: the picture is f16, the light may be in any unit.
+fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation, frame: u32) -> anyhow::Result<f32> {
     let transform = match scene.placement {
         ScenePlacement::File => {
             let placement = animation.placement;
@@ -271,14 +282,16 @@ fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation
         ScenePlacement::Width(width) => Transform::from_scale(Vec3::splat(width as f32)),
     };
     let world = headless.app.world_mut();
-    let environment = match &scene.environment {
+    let (environment, unit) = match &scene.environment {
         Environment::Equirect(path) => {
             let image = world.resource_mut::<Assets<Image>>().add(read_equirect(path)?);
-            SmokeEnvironment::equirect(image, 1.0)
+            (SmokeEnvironment::equirect(image, 1.0), 1.0)
         }
         lobes => {
             let coefficients = lobes.coefficients().expect("lobes have coefficients").0.map(|c| c.as_vec3());
-            SmokeEnvironment::Coefficients { coefficients, intensity: 1.0 }
+            let largest = coefficients.iter().fold(0.0_f32, |largest, c| largest.max(c.abs().max_element()));
+            let unit = if largest > 0.0 { largest } else { 1.0 };
+            (SmokeEnvironment::Coefficients { coefficients, intensity: 1.0 / unit }, unit)
         }
     };
     let animation = world.resource_mut::<Assets<SmokeAnimation>>().add(animation);
@@ -310,7 +323,7 @@ fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation
         Projection::Perspective(projection),
         Transform::from_translation(camera.eye.as_vec3()).looking_at(camera.target.as_vec3(), Vec3::Y),
     ));
-    Ok(())
+    Ok(unit)
 }
 
 /// A latitude-longitude image, HDR or EXR, as linear floats.
@@ -380,7 +393,9 @@ fn pass_stats(counts: &[[u32; SmokeRenderStats::PASSES.len()]], diagnostics: &Di
         .zip(SmokeRenderStats::PASSES)
         .map(|(i, name): (usize, _)| {
             let dispatches = counts.windows(2).map(|pair| pair[1][i] - pair[0][i]).collect();
+            // Bevy keeps the last 120 times: then the first is none of them.
             let (first_ms, rest) = match times(name).split_first() {
+                Some(_) if times(name).len() >= DEFAULT_MAX_HISTORY_LENGTH => (None, times(name)),
                 Some((first, rest)) => (Some(*first), rest.to_vec()),
                 None => (None, Vec::new()),
             };

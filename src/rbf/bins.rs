@@ -62,6 +62,17 @@ impl RbfBins {
         Self { dims, offsets, indices }
     }
 
+    /// An upper bound on the number of entries that [`new`](Self::new) would list, found without listing them.
+    pub fn entry_bound(rbfs: &[Rbf], shape: GridShape) -> u64 {
+        let dims = shape.dims.map(|n| n.div_ceil(BIN_CELLS));
+        let reached = |rbf: &Rbf| {
+            let (first, last) = reach(rbf, shape, dims);
+            (last.saturating_sub(first) + 1).to_array().map(u64::from).iter().product::<u64>()
+        };
+        let uncovered = GridShape::new(dims).len() as u64 * NEAREST as u64;
+        rbfs.iter().map(reached).sum::<u64>() + uncovered
+    }
+
     /// The list of the bin that holds `cell`; cells outside the grid use the nearest bin.
     pub fn at(&self, cell: UVec3) -> &[u32] {
         let bin = GridShape::new(self.dims).index((cell / BIN_CELLS).min(self.dims - 1));

@@ -126,9 +126,7 @@ pub(super) fn environment(
     stats: Res<SmokeRenderStats>,
     mut ctx: RenderContext,
 ) {
-    for job in &work.environment {
-        for (pass, job) in passes.environment.jobs(job) {
-            pass.run(&[job], &cache, &stats.environment, &mut ctx);
-        }
-    }
+    let jobs: Vec<_> = work.environment.iter().flat_map(|job| passes.environment.jobs(job)).collect();
+    let jobs: Vec<_> = jobs.iter().map(|(pass, job)| (*pass, job)).collect();
+    ComputePass::run_all(LABEL, &jobs, &cache, &stats.environment, &mut ctx);
 }

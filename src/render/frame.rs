@@ -13,10 +13,10 @@ use bevy::render::render_resource::{
 };
 use bevy::render::renderer::{RenderDevice, RenderQueue};
 
+use super::source_radiance::PROBES;
 use crate::bundle::{SmokeAnimation, SmokeFrame};
 use crate::density::GridShape;
 use crate::rbf::{Rbf, RbfBins};
-use crate::residual::HashedResidual;
 
 /// Format of [`GpuSmokeFrame::density`]: read texel by texel, at full precision.
 pub(super) const DENSITY_FORMAT: TextureFormat = TextureFormat::R32Float;
@@ -26,6 +26,8 @@ pub(super) const FILTERED_FORMAT: TextureFormat = TextureFormat::Rgba16Float;
 /// An animation on the GPU.
 pub struct GpuSmokeAnimation {
     pub(super) shape: GridShape,
+    /// What the value 1 of the filtered density textures stands for; above 0.
+    pub(super) max_density: f32,
     pub(super) frames: Vec<GpuSmokeFrame>,
 }
 
@@ -60,6 +62,8 @@ pub(super) struct FrameUniform {
     residual_exponent: f32,
     offset_side: u32,
     table_len: u32,
+    /// Multiplies the density before it is stored in half precision.
+    density_scale: f32,
 }
 
 /// The `Rbf` of `frame.wgsl`.
@@ -71,14 +75,20 @@ struct RbfEntry {
 }
 
 impl GpuSmokeFrame {
-    pub fn new(shape: GridShape, frame: &SmokeFrame, device: &RenderDevice, queue: &RenderQueue) -> Self {
+    pub fn new(
+        shape: GridShape,
+        frame: &SmokeFrame,
+        max_density: f32,
+        device: &RenderDevice,
+        queue: &RenderQueue,
+    ) -> Self {
         let rbfs = &frame.rbfs.rbfs;
         let residual = &frame.residual;
         let bins = RbfBins::new(rbfs, shape);
         let coarse = shape.coarse();
         Self {
             rbf_count: rbfs.len() as u32,
-            uniform: uniform(device, queue, "smoke_frame", frame_uniform(shape, rbfs, &bins, residual)),
+            uniform: uniform(device, queue, "smoke_frame", frame_uniform(shape, frame, &bins, max_density)),
             rbfs: rbf_buffer(device, rbfs),
             bin_offsets: storage(device, "smoke_bin_offsets", &bins.offsets),
             bin_indices: storage(device, "smoke_bin_indices", &bins.indices),
@@ -97,11 +107,12 @@ impl GpuSmokeFrame {
     }
 }
 
-fn frame_uniform(shape: GridShape, rbfs: &[Rbf], bins: &RbfBins, residual: &HashedResidual) -> FrameUniform {
+fn frame_uniform(shape: GridShape, frame: &SmokeFrame, bins: &RbfBins, max_density: f32) -> FrameUniform {
+    let residual = &frame.residual;
     let longest = shape.longest() as f32;
     FrameUniform {
         dims: shape.dims,
-        rbf_count: rbfs.len() as u32,
+        rbf_count: frame.rbfs.rbfs.len() as u32,
         bins: bins.dims,
         cell: shape.cell_size(),
         coarse_dims: shape.coarse().dims,
@@ -110,6 +121,7 @@ fn frame_uniform(shape: GridShape, rbfs: &[Rbf], bins: &RbfBins, residual: &Hash
         residual_exponent: residual.law().exponent,
         offset_side: residual.offset_side(),
         table_len: residual.slots(),
+        density_scale: 1.0 / max_density,
     }
 }
 
@@ -171,18 +183,44 @@ impl RenderAsset for GpuSmokeAnimation {
         (device, queue): &mut SystemParamItem<Self::Param>,
         _previous: Option<&Self>,
     ) -> Result<Self, PrepareAssetError<SmokeAnimation>> {
-        // Textures must leave room for the padding; a device may allow as little as 256 a side.
-        let limit = device.limits().max_texture_dimension_3d;
-        if animation.shape.longest() + 2 > limit {
-            error!(
-                "smoke {id} has {} cells, but this adapter's 3D textures end at {limit} a side (two are padding): it \
-                 is not drawn; bake it from a smaller grid",
-                animation.shape.dims
-            );
-            return Ok(Self { shape: animation.shape, frames: Vec::new() });
+        let shape = animation.shape;
+        let max_density = if animation.max_density > 0.0 { animation.max_density } else { 1.0 };
+        let mut frames = Vec::new();
+        match animation.frames.iter().try_for_each(|frame| fits(shape, frame, device)) {
+            Ok(()) => frames.extend(
+                animation.frames.iter().map(|frame| GpuSmokeFrame::new(shape, frame, max_density, device, queue)),
+            ),
+            Err(problem) => error!("smoke {id} is not drawn: {problem}"),
         }
-        let frames =
-            animation.frames.iter().map(|frame| GpuSmokeFrame::new(animation.shape, frame, device, queue)).collect();
-        Ok(Self { shape: animation.shape, frames })
+        Ok(Self { shape, max_density, frames })
+    }
+}
+
+/// Whether the device can hold a frame; if not, why, and what to do.
+fn fits(shape: GridShape, frame: &SmokeFrame, device: &RenderDevice) -> Result<(), String> {
+    let limits = device.limits();
+    // The texture that is marched has a cell of padding on each side.
+    let side = limits.max_texture_dimension_3d;
+    if shape.longest() + 2 > side {
+        return Err(format!(
+            "it has {} cells, but this adapter's 3D textures end at {side} a side, two of them padding; bake it from a \
+             smaller grid",
+            shape.dims
+        ));
+    }
+    let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    let (rbfs, residual) = (&frame.rbfs.rbfs, &frame.residual);
+    let probes = rbfs.len() as u64 * u64::from(PROBES) * 16 * 16;
+    let largest = [
+        ("probes", probes),
+        ("bins", 4 * RbfBins::entry_bound(rbfs, shape)),
+        ("residual", u64::from(residual.slots()).max(2 * residual.offsets().len() as u64)),
+    ];
+    match largest.into_iter().find(|(_, needed)| *needed > bytes) {
+        Some((what, needed)) => Err(format!(
+            "its {what} take {needed} bytes, but this adapter's buffers end at {bytes}; bake it with fewer RBFs or from \
+             a smaller grid"
+        )),
+        None => Ok(()),
     }
 }

@@ -22,6 +22,7 @@ mod density;
 mod environment;
 mod extract;
 mod frame;
+mod light;
 mod outgoing;
 mod pass;
 mod prepare;
@@ -36,8 +37,8 @@ use bevy::core_pipeline::core_3d::{main_opaque_pass_3d, main_transparent_pass_3d
 use bevy::core_pipeline::schedule::{Core3d, Core3dSystems, camera_driver};
 use bevy::prelude::*;
 use bevy::render::render_asset::RenderAssetPlugin;
-use bevy::render::render_resource::{PipelineCache, SpecializedRenderPipelines};
-use bevy::render::renderer::{RenderGraph, RenderGraphSystems};
+use bevy::render::render_resource::{DownlevelFlags, PipelineCache, SpecializedRenderPipelines};
+use bevy::render::renderer::{RenderAdapter, RenderDevice, RenderGraph, RenderGraphSystems};
 use bevy::render::sync_world::SyncToRenderWorld;
 use bevy::render::{ExtractSchedule, GpuResourceAppExt, Render, RenderApp, RenderStartup, RenderSystems};
 
@@ -90,7 +91,8 @@ impl Plugin for SmokeRenderPlugin {
                         .before(prepare_core_3d_depth_textures),
                     view::prepare_view_pipelines.in_set(RenderSystems::PrepareResources),
                     prepare::prepare_smoke.in_set(RenderSystems::PrepareBindGroups).in_set(SmokeSystems::Prepare),
-                ),
+                )
+                    .run_if(resource_exists::<SmokePasses>),
             )
             .add_systems(
                 RenderGraph,
@@ -105,7 +107,8 @@ impl Plugin for SmokeRenderPlugin {
                     .chain()
                     .in_set(RenderGraphSystems::Render)
                     .in_set(SmokeSystems::Light)
-                    .before(camera_driver),
+                    .before(camera_driver)
+                    .run_if(resource_exists::<SmokePasses>),
             )
             .add_systems(
                 Core3d,
@@ -141,7 +144,17 @@ impl SmokePasses {
     }
 }
 
-fn init_passes(mut commands: Commands, cache: Res<PipelineCache>, assets: Res<AssetServer>) {
+fn init_passes(
+    mut commands: Commands,
+    cache: Res<PipelineCache>,
+    assets: Res<AssetServer>,
+    device: Res<RenderDevice>,
+    adapter: Res<RenderAdapter>,
+) {
+    if let Err(missing) = check_device(&device, &adapter) {
+        error!("this graphics adapter cannot draw smoke: it lacks {missing}; the rest of the app goes on without");
+        return;
+    }
     let shaders = Shaders::load(&assets);
     commands.insert_resource(SmokePasses {
         environment: EnvironmentPass::new(&shaders.environment, &cache),
@@ -152,6 +165,20 @@ fn init_passes(mut commands: Commands, cache: Res<PipelineCache>, assets: Res<As
         volume: volume::pass(&shaders.volume, &cache),
     });
     commands.insert_resource(view::ViewPass::new(&shaders.view));
+}
+
+/// What the passes need beyond what every device has; on failure, what is missing.
+fn check_device(device: &RenderDevice, adapter: &RenderAdapter) -> Result<(), &'static str> {
+    let limits = device.limits();
+    let flags = adapter.get_downlevel_capabilities().flags;
+    let needs = [
+        (flags.contains(DownlevelFlags::COMPUTE_SHADERS), "compute shaders"),
+        (limits.max_storage_buffers_per_shader_stage >= 6, "6 storage buffers a shader"),
+        (limits.max_storage_textures_per_shader_stage >= 1, "storage textures"),
+        (limits.max_compute_workgroup_storage_size >= 16_384, "16 KiB of memory a workgroup"),
+        (limits.max_compute_invocations_per_workgroup >= 256, "256 threads a workgroup"),
+    ];
+    needs.iter().find(|(there, _)| !there).map_or(Ok(()), |(_, what)| Err(what))
 }
 
 /// The dispatches of this frame.

@@ -68,8 +68,20 @@ impl ComputePass {
         }
     }
 
-    /// Dispatches the jobs in one compute pass, which is one GPU span of the pass's name; no jobs, no span.
+    /// Dispatches the jobs as one GPU span of the pass's name; no jobs, no span.
     pub fn run(&self, jobs: &[Job], cache: &PipelineCache, counter: &DispatchCounter, ctx: &mut RenderContext) {
+        let jobs: Vec<_> = jobs.iter().map(|job| (self, job)).collect();
+        Self::run_all(self.label, &jobs, cache, counter, ctx);
+    }
+
+    /// The same for jobs of several passes, in order.
+    pub fn run_all(
+        label: &'static str,
+        jobs: &[(&Self, &Job)],
+        cache: &PipelineCache,
+        counter: &DispatchCounter,
+        ctx: &mut RenderContext,
+    ) {
         if jobs.is_empty() {
             return;
         }
@@ -77,24 +89,24 @@ impl ComputePass {
         let recorder = recorder.as_deref();
         let mut pass = ctx
             .command_encoder()
-            .begin_compute_pass(&ComputePassDescriptor { label: Some(self.label), timestamp_writes: None });
-        let span = recorder.pass_span(&mut pass, self.label);
-        if self.record(&mut pass, jobs, cache) {
-            counter.add(jobs.len() as u32);
+            .begin_compute_pass(&ComputePassDescriptor { label: Some(label), timestamp_writes: None });
+        let span = recorder.pass_span(&mut pass, label);
+        for (compute_pass, job) in jobs {
+            if compute_pass.record(&mut pass, job, cache) {
+                counter.add(1);
+            }
         }
         span.end(&mut pass);
     }
 
-    /// Records the jobs; false, and nothing recorded, where the pipeline is not there.
-    pub fn record(&self, pass: &mut RawComputePass, jobs: &[Job], cache: &PipelineCache) -> bool {
+    /// Records a job; false, and nothing recorded, where the pipeline is not there.
+    pub fn record(&self, pass: &mut RawComputePass, job: &Job, cache: &PipelineCache) -> bool {
         let Some(pipeline) = cache.get_compute_pipeline(self.pipeline) else {
             return false;
         };
         pass.set_pipeline(pipeline);
-        for job in jobs {
-            pass.set_bind_group(0, &job.bind_group, &[]);
-            pass.dispatch_workgroups(job.workgroups.x, job.workgroups.y, job.workgroups.z);
-        }
+        pass.set_bind_group(0, &job.bind_group, &[]);
+        pass.dispatch_workgroups(job.workgroups.x, job.workgroups.y, job.workgroups.z);
         true
     }
 }

@@ -4,37 +4,35 @@
 //!
 //! | state | one per | changes with |
 //! |---|---|---|
-//! | [`Environment`] | environment | its image or coefficients |
+//! | [`Environments`] | environment | its image or coefficients |
 //! | [`GpuSmokeFrame`](super::frame::GpuSmokeFrame) | frame of smoke | the asset |
 //! | [`LitVolume`] | volume × environment | the two above, the medium, the volume's rotation and scale |
 //! | [`SlicedVolume`] | lit volume, × view where the phase function is not isotropic | the lit volume; the eye in bundle space |
 
-use bevy::asset::AssetId;
 use bevy::math::{Affine3A, Vec3A};
 use bevy::platform::collections::HashMap;
 use bevy::prelude::*;
 use bevy::render::camera::ExtractedCamera;
-use bevy::render::render_asset::RenderAssets;
+use bevy::render::render_asset::{ExtractedAssets, RenderAssets};
 use bevy::render::render_resource::encase::internal::WriteInto;
 use bevy::render::render_resource::{
     AddressMode, BindGroup, Buffer, BufferDescriptor, BufferId, BufferUsages, FilterMode, PipelineCache, Sampler,
-    SamplerDescriptor, ShaderType, TextureId, TextureView, TextureViewDimension, UniformBuffer,
+    SamplerDescriptor, ShaderType, TextureView, UniformBuffer,
 };
 use bevy::render::renderer::{RenderDevice, RenderQueue};
 use bevy::render::sync_world::MainEntity;
 use bevy::render::texture::GpuImage;
 use bevy::render::view::{ExtractedView, RenderVisibleEntities, RetainedViewEntity};
 
-use super::environment::{RadianceMap, coefficient_buffer};
 use super::extract::{ExtractedSmoke, ExtractedVolume};
 use super::frame::{FILTERED_FORMAT, GpuSmokeAnimation, GpuSmokeFrame, texture_3d};
+use super::light::{Environments, Light, LightKey, Lit};
 use super::outgoing::{LookUniform, OUTGOING_BYTES};
 use super::pass::Job;
 use super::source_radiance::{LightingUniform, PROBES};
 use super::view::{SmokeUniform, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokePasses, SmokeWork, coarse, density, outgoing, source_radiance, volume};
 use crate::density::GridShape;
-use crate::lighting::{EnvironmentCoefficients, SmokeEnvironment};
 use crate::volume::SmokeVolume;
 
 /// Frames that computed state is kept while nobody looks at it.
@@ -44,8 +42,8 @@ const KEEP_FRAMES: u32 = 300;
 #[derive(Resource, Default)]
 pub(super) struct SmokeCache {
     frame: u32,
-    environments: HashMap<EnvironmentKey, Environment>,
-    volumes: HashMap<(MainEntity, EnvironmentKey), LitVolume>,
+    environments: Environments,
+    volumes: HashMap<(MainEntity, LightKey), LitVolume>,
     sampler: Option<Sampler>,
 }
 
@@ -58,32 +56,6 @@ impl SmokeCache {
         assert!(sliced.next().is_none(), "more than one volume has been drawn");
         texture
     }
-}
-
-/// Which environment.
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
-enum EnvironmentKey {
-    /// No light at all.
-    Black,
-    /// A radiance image.
-    Image(AssetId<Image>),
-    /// The coefficients that a volume carries.
-    Coefficients(MainEntity),
-}
-
-/// An environment's coefficients on the GPU.
-struct Environment {
-    coefficients: Buffer,
-    source: EnvironmentSource,
-    last_used: u32,
-    /// Counts the changes.
-    version: u32,
-}
-
-#[derive(PartialEq)]
-enum EnvironmentSource {
-    Coefficients(EnvironmentCoefficients),
-    Texture(TextureId),
 }
 
 /// A volume lit by an environment: its probes.
@@ -139,20 +111,12 @@ impl<T: ShaderType + WriteInto + Clone + PartialEq> Cached<T> {
 }
 
 /// What making resources takes.
-struct Gpu<'a> {
-    device: &'a RenderDevice,
-    queue: &'a RenderQueue,
-    cache: &'a PipelineCache,
-    passes: &'a SmokePasses,
-    sampler: &'a Sampler,
-}
-
-/// An environment as a volume uses it.
-struct Lit<'a> {
-    key: EnvironmentKey,
-    environment: &'a Environment,
-    environment_from_world: Mat3,
-    intensity: f32,
+pub(super) struct Gpu<'a> {
+    pub device: &'a RenderDevice,
+    pub queue: &'a RenderQueue,
+    pub cache: &'a PipelineCache,
+    pub passes: &'a SmokePasses,
+    pub sampler: &'a Sampler,
 }
 
 /// Lists this frame's work, and every view's volumes from far to near.
@@ -167,12 +131,14 @@ pub(super) fn prepare_smoke(
     device: Res<RenderDevice>,
     queue: Res<RenderQueue>,
     pipelines: Res<PipelineCache>,
+    changed_images: Res<ExtractedAssets<GpuImage>>,
     (passes, view_pass): (Res<SmokePasses>, Res<ViewPass>),
 ) {
     work.clear();
     let ready = passes.are_ready(&pipelines);
     let SmokeCache { frame: now, environments, volumes, sampler } = &mut *smoke_cache;
     *now = now.wrapping_add(1);
+    environments.begin(*now, changed_images.added.iter().chain(&changed_images.modified));
     let sampler = sampler.get_or_insert_with(|| linear_sampler(&device));
     let gpu = Gpu { device: &device, queue: &queue, cache: &pipelines, passes: &passes, sampler };
 
@@ -189,13 +155,13 @@ pub(super) fn prepare_smoke(
             let Some(frame) = animation.frames.get(volume.frame as usize).or(animation.frames.last()) else {
                 continue;
             };
-            let Some(placed) = Placed::new(volume, animation.shape) else {
+            let Some(placed) = Placed::new(volume_entity, volume, animation) else {
                 continue;
             };
-            let Some(source) = Source::of(volume_entity, volume, view, &smoke) else {
+            let Some(light) = Light::of(volume_entity, volume, view, &smoke) else {
                 continue;
             };
-            let Some(lit) = source.project(environments, *now, &images, &gpu, &mut work) else {
+            let Some(lit) = environments.light(light, &images, &gpu, &mut work) else {
                 continue;
             };
             if frame.take_unpacking() {
@@ -229,11 +195,16 @@ pub(super) fn prepare_smoke(
         }
         // Far to near; equal distances keep the order of their entities.
         drawn.sort_by(|a, b| b.distance.total_cmp(&a.distance));
-        commands.entity(view_entity).insert(ViewSmoke(drawn));
+        let mut view = commands.entity(view_entity);
+        if drawn.is_empty() {
+            view.remove::<ViewSmoke>();
+        } else {
+            view.insert(ViewSmoke(drawn));
+        }
     }
 
     let in_use = |last_used: u32| now.wrapping_sub(last_used) < KEEP_FRAMES;
-    environments.retain(|_, environment| in_use(environment.last_used));
+    environments.retain(in_use);
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
     for volume in volumes.values_mut() {
         volume.sliced.retain(|_, sliced| in_use(sliced.last_used));
@@ -246,15 +217,21 @@ struct Placed {
     shape: GridShape,
     /// World length of a bundle unit: the cube root of the change of volume.
     scale: f32,
+    /// What the value 1 of the filtered density textures stands for.
+    max_density: f32,
 }
 
 impl Placed {
     /// None where the transform flattens the box or is not finite.
-    fn new(volume: &ExtractedVolume, shape: GridShape) -> Option<Self> {
+    fn new(entity: MainEntity, volume: &ExtractedVolume, animation: &GpuSmokeAnimation) -> Option<Self> {
         let world_from_bundle = volume.world_from_bundle;
+        if !world_from_bundle.is_finite() {
+            warn_once!("the transform of smoke volume {entity:?} is not finite: it is not drawn (said once)");
+            return None;
+        }
         let scale = world_from_bundle.matrix3.determinant().abs().cbrt();
-        let usable = scale > 0.0 && world_from_bundle.is_finite() && world_from_bundle.inverse().is_finite();
-        usable.then_some(Self { world_from_bundle, shape, scale })
+        let usable = scale > 0.0 && world_from_bundle.inverse().is_finite();
+        usable.then_some(Self { world_from_bundle, shape: animation.shape, scale, max_density: animation.max_density })
     }
 
     fn lighting(&self, volume: &ExtractedVolume, lit: &Lit) -> LightingUniform {
@@ -271,9 +248,9 @@ impl Placed {
         }
     }
 
-    /// Extinction a bundle unit.
+    /// Extinction a bundle unit where the filtered density textures hold 1; bounded, so that products with it stay finite.
     fn sigma(&self, volume: &ExtractedVolume) -> f32 {
-        volume.medium.sigma_t * self.scale
+        (volume.medium.sigma_t * self.scale * self.max_density).min(1e30)
     }
 
     fn bundle_from_view(&self, view: &ExtractedView) -> Affine3A {
@@ -346,137 +323,6 @@ fn screen_rectangle(clip_from_bundle: Mat4, half_extent: Vec3) -> Option<Vec4> {
     (low.x < high.x && low.y < high.y).then_some(Vec4::new(low.x, low.y, high.x, high.y))
 }
 
-/// Where a volume's light comes from.
-struct Source<'a> {
-    key: EnvironmentKey,
-    content: Content<'a>,
-    environment_from_world: Mat3,
-    intensity: f32,
-}
-
-enum Content<'a> {
-    Coefficients(&'a EnvironmentCoefficients),
-    Image { id: AssetId<Image>, cube: bool },
-}
-
-/// No light from anywhere.
-const BLACK: EnvironmentCoefficients = [Vec3::ZERO; 16];
-
-impl<'a> Source<'a> {
-    fn of(
-        entity: MainEntity,
-        volume: &'a ExtractedVolume,
-        view: &ExtractedView,
-        smoke: &ExtractedSmoke,
-    ) -> Option<Self> {
-        let image = |id, cube, intensity, rotation: Quat| Source {
-            key: EnvironmentKey::Image(id),
-            content: Content::Image { id, cube },
-            environment_from_world: Mat3::from_quat(rotation.inverse()),
-            intensity,
-        };
-        let source = match &volume.environment {
-            SmokeEnvironment::Camera => match smoke.camera_environments.get(&view.retained_view_entity.main_entity) {
-                Some(environment) => image(environment.image, true, environment.intensity, environment.rotation),
-                None => {
-                    warn_once!(
-                        "smoke volume {entity:?} is lit by the camera's environment map, but a camera that sees it has \
-                         no EnvironmentMapLight: the smoke is black there; add one, or give the volume a \
-                         SmokeEnvironment (said once)"
-                    );
-                    Source {
-                        key: EnvironmentKey::Black,
-                        content: Content::Coefficients(&BLACK),
-                        environment_from_world: Mat3::IDENTITY,
-                        intensity: 1.0,
-                    }
-                }
-            },
-            SmokeEnvironment::Equirect { image: handle, intensity, rotation } => {
-                image(handle.id(), false, *intensity, *rotation)
-            }
-            SmokeEnvironment::Coefficients { coefficients, intensity } => Source {
-                key: EnvironmentKey::Coefficients(entity),
-                content: Content::Coefficients(coefficients),
-                environment_from_world: Mat3::IDENTITY,
-                intensity: *intensity,
-            },
-        };
-        let finite = source.intensity.is_finite() && source.environment_from_world.is_finite();
-        if !finite {
-            warn_once!(
-                "the environment of smoke volume {entity:?} has an intensity or rotation that is not finite: the volume is not drawn (said once)"
-            );
-        }
-        finite.then_some(source)
-    }
-
-    /// Makes sure that the coefficients are on the GPU. None while an image is still on its way.
-    fn project<'e>(
-        &self,
-        environments: &'e mut HashMap<EnvironmentKey, Environment>,
-        now: u32,
-        images: &RenderAssets<GpuImage>,
-        gpu: &Gpu,
-        work: &mut SmokeWork,
-    ) -> Option<Lit<'e>> {
-        let source = match &self.content {
-            Content::Coefficients(coefficients) => EnvironmentSource::Coefficients(**coefficients),
-            Content::Image { id, .. } => EnvironmentSource::Texture(images.get(*id)?.texture.id()),
-        };
-        let environment = environments.entry(self.key).or_insert_with(|| Environment {
-            coefficients: coefficient_buffer(gpu.device),
-            // Coefficients that equal nothing, so that the first look finds a change.
-            source: EnvironmentSource::Coefficients([Vec3::NAN; 16]),
-            last_used: now,
-            version: 0,
-        });
-        environment.last_used = now;
-        if environment.source != source {
-            match &self.content {
-                Content::Coefficients(coefficients) => {
-                    let padded: Vec<Vec4> = coefficients.iter().map(|c| c.extend(0.0)).collect();
-                    gpu.queue.write_buffer(&environment.coefficients, 0, bytemuck::cast_slice(&padded));
-                }
-                Content::Image { id, cube } => {
-                    let map = radiance_map(images.get(*id)?, *cube)?;
-                    let pass = &gpu.passes.environment;
-                    work.environment.push(pass.job(map, &environment.coefficients, gpu.device, gpu.cache));
-                }
-            }
-            environment.source = source;
-            environment.version += 1;
-        }
-        Some(Lit {
-            key: self.key,
-            environment,
-            environment_from_world: self.environment_from_world,
-            intensity: self.intensity,
-        })
-    }
-}
-
-/// An image as the environment pass reads it; None, with one warning, where its shape is wrong.
-fn radiance_map(image: &GpuImage, cube: bool) -> Option<RadianceMap<'_>> {
-    let dimension = image.texture_view_descriptor.as_ref().and_then(|view| view.dimension);
-    let is_cube = dimension == Some(TextureViewDimension::Cube);
-    let is_flat = matches!(dimension, None | Some(TextureViewDimension::D2))
-        && image.texture_descriptor.size.depth_or_array_layers == 1;
-    match cube {
-        true if is_cube => Some(RadianceMap::Cube(&image.texture_view, &image.sampler)),
-        false if is_flat => Some(RadianceMap::Equirect(&image.texture_view)),
-        _ => {
-            let wanted = if cube { "a cube map" } else { "a 2D latitude-longitude image" };
-            let found = image.texture_descriptor.size;
-            warn_once!(
-                "smoke needs {wanted} for its environment, but was given an image of {found:?} ({dimension:?}): the \
-                 volumes it should light are not drawn (said once)"
-            );
-            None
-        }
-    }
-}
-
 impl LitVolume {
     fn new(frame: &GpuSmokeFrame, lit: &Lit, uniform: LightingUniform, gpu: &Gpu) -> Self {
         let bytes = u64::from(frame.rbf_count.max(1)) * u64::from(PROBES) * 16 * 16;
@@ -485,7 +331,7 @@ impl LitVolume {
         let bindings = source_radiance::Bindings {
             frame,
             lighting: uniform.buffer(),
-            environment: &lit.environment.coefficients,
+            environment: lit.coefficients,
             sampler: gpu.sampler,
             probes: &probes,
         };
@@ -512,9 +358,9 @@ impl LitVolume {
         work: &mut SmokeWork,
     ) {
         self.last_used = now;
-        let changed = self.uniform.set(uniform, gpu) | (self.environment_version != lit.environment.version);
+        let changed = self.uniform.set(uniform, gpu) | (self.environment_version != lit.version);
         if changed {
-            self.environment_version = lit.environment.version;
+            self.environment_version = lit.version;
             self.version += 1;
             let workgroups = source_radiance::workgroups(frame);
             work.source_radiance.push(Job { bind_group: self.bind_group.clone(), workgroups });

@@ -12,10 +12,10 @@ use bevy::render::render_resource::binding_types::{
 };
 use bevy::render::render_resource::{
     BindGroup, BindGroupEntry, BindGroupLayoutDescriptor, BindGroupLayoutEntries, BindingResource, BlendComponent,
-    BlendState, CachedRenderPipelineId, ColorTargetState, ColorWrites, FragmentState, LoadOp, MultisampleState,
-    Operations, PipelineCache, PrimitiveState, PrimitiveTopology, RenderPassColorAttachment, RenderPassDescriptor,
-    RenderPipelineDescriptor, Sampler, SamplerBindingType, ShaderStages, ShaderType, SpecializedRenderPipeline,
-    SpecializedRenderPipelines, StoreOp, TextureFormat, TextureSampleType, TextureUsages, TextureView, VertexState,
+    BlendState, CachedRenderPipelineId, ColorTargetState, ColorWrites, FragmentState, MultisampleState, PipelineCache,
+    PrimitiveState, PrimitiveTopology, RenderPassDescriptor, RenderPipelineDescriptor, Sampler, SamplerBindingType,
+    ShaderStages, ShaderType, SpecializedRenderPipeline, SpecializedRenderPipelines, TextureFormat, TextureSampleType,
+    TextureUsages, TextureView, VertexState,
 };
 use bevy::render::renderer::{RenderContext, RenderDevice, RenderQueue, ViewQuery};
 use bevy::render::texture::{FallbackImage, GpuImage};
@@ -195,7 +195,7 @@ pub(super) fn prepare_view_pipelines(
 ) {
     for (entity, view, camera, msaa, tonemapping) in &views {
         if smoke.volumes.is_empty() {
-            commands.entity(entity).remove::<(ViewSmokePipeline, ViewSmoke)>();
+            commands.entity(entity).remove::<ViewSmokePipeline>();
             continue;
         }
         let tonemapping = tonemapping.copied().filter(|_| !camera.hdr);
@@ -262,13 +262,9 @@ pub(super) fn view(
 
     let recorder = ctx.diagnostic_recorder();
     let recorder = recorder.as_deref();
-    let attachment = target.get_color_attachment();
     let mut pass = ctx.begin_tracked_render_pass(RenderPassDescriptor {
         label: Some(LABEL),
-        color_attachments: &[Some(RenderPassColorAttachment {
-            ops: Operations { load: LoadOp::Load, store: StoreOp::Store },
-            ..attachment
-        })],
+        color_attachments: &[Some(target.get_color_attachment())],
         depth_stencil_attachment: None,
         timestamp_writes: None,
         occlusion_query_set: None,

@@ -1,7 +1,7 @@
 // Box-averages the density to the coarse grid that optical depths are marched through: a coarse
 // value is the integral of the piecewise-constant density over the coarse cell, over its volume.
 // The coarse grid is centred on the box; outside the box the density is zero.
-#import bevy_smoke::frame::Frame
+#import bevy_smoke::frame::{Frame, MAX_HALF}
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var density: texture_3d<f32>;
@@ -34,7 +34,7 @@ fn average(@builtin(global_invocation_id) id: vec3<u32>) {
                 }
             }
         }
-        sum /= ratio * ratio * ratio;
+        sum = min(sum * frame.density_scale / (ratio * ratio * ratio), MAX_HALF);
     }
     textureStore(coarse, id, vec4(sum, 0.0, 0.0, 0.0));
 }

@@ -25,7 +25,7 @@ fn quantized(cell: vec3<u32>) -> i32 {
     let p = cell % frame.offset_side;
     let bucket = p.x + frame.offset_side * (p.y + frame.offset_side * p.z);
     let number = (hash_offsets[bucket >> 1u] >> (16u * (bucket & 1u))) & 0xFFFFu;
-    // (home + displacement) mod slots; both are below slots, and a grid has at most 2^28 cells.
+    // (home + displacement) mod slots; both are below slots, at most 2^28.
     let slot = (index % frame.table_len + (number * STRIDE) % frame.table_len) % frame.table_len;
     return extractBits(i32(hash_table[slot >> 2u]), 8u * (slot & 3u), 8u);
 }

@@ -18,6 +18,14 @@ const PI: f32 = 3.14159265358979;
 @group(0) @binding(3) var radiance_sampler: sampler;
 #endif
 
+// What a clipped sun or a damaged file may hold must not spread to every coefficient.
+const BRIGHTEST: f32 = 1e6;
+
+fn sane(radiance: vec3<f32>) -> vec3<f32> {
+    // A number that is not equal to itself is none.
+    return select(vec3(0.0), clamp(radiance, vec3(0.0), vec3(BRIGHTEST)), radiance == radiance);
+}
+
 struct Texel {
     // Direction in the map's frame, right-handed, y up.
     direction: vec3<f32>,
@@ -41,7 +49,7 @@ fn texel(index: u32) -> Texel {
     // Exact: cos(theta - d) - cos(theta + d) = 2 sin(theta) sin(d), d half a row.
     let solid_angle = 2.0 * PI / f32(size.x) * 2.0 * sin(theta) * sin(0.5 * PI / f32(size.y));
     let direction = vec3(sin(phi) * sin(theta), cos(theta), -cos(phi) * sin(theta));
-    return Texel(direction, textureLoad(radiance_map, at, 0).rgb, solid_angle);
+    return Texel(direction, sane(textureLoad(radiance_map, at, 0).rgb), solid_angle);
 }
 
 #else
@@ -73,7 +81,7 @@ fn texel(index: u32) -> Texel {
     }
     // The texel's area over r^3, r^2 = 1 + u^2 + v^2.
     let solid_angle = 4.0 / f32(side * side) * pow(1.0 + dot(uv, uv), -1.5);
-    let radiance = textureSampleLevel(radiance_map, radiance_sampler, sample_direction, 0.0).rgb;
+    let radiance = sane(textureSampleLevel(radiance_map, radiance_sampler, sample_direction, 0.0).rgb);
     // Cube maps are left-handed: Bevy negates z when it samples them.
     let direction = normalize(sample_direction * vec3(1.0, 1.0, -1.0));
     return Texel(direction, radiance, solid_angle);

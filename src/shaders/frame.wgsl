@@ -20,7 +20,12 @@ struct Frame {
     // Side of the offset table and length of the hash table.
     offset_side: u32,
     table_len: u32,
+    // Multiplies the density where it is stored in half precision, so that it is at most about 1 there.
+    density_scale: f32,
 }
+
+// The largest number that half precision holds.
+const MAX_HALF: f32 = 65504.0;
 
 struct Rbf {
     center: vec3<f32>,

@@ -5,7 +5,8 @@ struct Lighting {
     // Rotates a direction from the volume's axes to the environment's.
     environment_from_bundle: mat3x3<f32>,
     albedo: vec3<f32>,
-    // Extinction a bundle unit: sigma_t times the world length of the box's longest side.
+    // Extinction a bundle unit where the scaled density is 1: sigma_t times the world length of the box's longest side
+    // over the density's scale.
     sigma: f32,
     // The phase function's factor of each band: g^l.
     bands: vec4<f32>,

@@ -18,7 +18,7 @@ struct Smoke {
     half_extent: vec3<f32>,
     // Side of a voxel in bundle space.
     cell: f32,
-    // Extinction a bundle unit.
+    // Extinction a bundle unit where the scaled density is 1.
     sigma: f32,
     // From stored radiance to exposed radiance.
     radiance_scale: f32,
@@ -31,7 +31,7 @@ struct Smoke {
 @group(0) @binding(1) var depth_texture: texture_depth_2d;
 #endif
 @group(1) @binding(0) var<uniform> smoke: Smoke;
-// RGB: source radiance; alpha: density; padded by one cell on each side.
+// RGB: source radiance; alpha: scaled density; padded by one cell on each side.
 @group(1) @binding(1) var volume: texture_3d<f32>;
 @group(1) @binding(2) var volume_sampler: sampler;
 
@@ -148,7 +148,8 @@ fn fragment(in: Vertex) -> Fragment {
     }
     let marched = march(ray, leave);
     let opacity = 1.0 - marched.a;
-    var color = marched.rgb * smoke.radiance_scale;
+    // The target may be f16, which must not overflow.
+    var color = min(marched.rgb * smoke.radiance_scale, vec3(65504.0));
 #ifdef TONEMAP_IN_SHADER
     // The target holds display colours: tone-map the smoke's own colour, as for any translucent material.
     color = opacity * tone_mapping(vec4(color / max(opacity, 1e-5), 1.0), view.color_grading).rgb;

@@ -2,7 +2,7 @@
 //     J(x) = max(0, sum_l phi_l (Jbar_l + G_l delta_l) / sum_l phi_l),   phi = w (exp(-u^2) + tail),
 // beside the density. The tail, a millionth at the centre, decays slowly: where no RBF reaches,
 // wisps take the source radiance of the nearest ones.
-#import bevy_smoke::frame::{Frame, Rbf, bin_index, cell_center}
+#import bevy_smoke::frame::{Frame, Rbf, MAX_HALF, bin_index, cell_center}
 
 struct Outgoing {
     mean: vec3<f32>,
@@ -21,7 +21,7 @@ const REACH: f32 = 2.0;
 @group(0) @binding(3) var<storage, read> bin_indices: array<u32>;
 @group(0) @binding(4) var<storage, read> outgoing: array<Outgoing>;
 @group(0) @binding(5) var density: texture_3d<f32>;
-// RGB: source radiance; alpha: density.
+// RGB: source radiance; alpha: scaled density.
 @group(0) @binding(6) var volume: texture_storage_3d<rgba16float, write>;
 
 // Whether a trilinear read that touches this cell can meet any density.
@@ -65,8 +65,8 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
         sum += phi * (o.mean + o.dx * delta.x + o.dy * delta.y + o.dz * delta.z);
         weights += phi;
     }
-    let radiance = max(sum / max(weights, 1e-30), vec3(0.0));
+    let radiance = clamp(sum / max(weights, 1e-30), vec3(0.0), vec3(MAX_HALF));
     let inside = all(cell >= vec3(0)) && all(cell < vec3<i32>(frame.dims));
     let d = select(0.0, textureLoad(density, max(cell, vec3(0)), 0).x, inside);
-    textureStore(volume, id, vec4(radiance, d));
+    textureStore(volume, id, vec4(radiance, min(d * frame.density_scale, MAX_HALF)));
 }

@@ -2,7 +2,9 @@
 
 use bevy::asset::RenderAssetUsages;
 use bevy::prelude::*;
-use bevy::render::render_resource::{Extent3d, TextureDimension, TextureFormat};
+use bevy::render::render_resource::{
+    Extent3d, TextureDimension, TextureFormat, TextureViewDescriptor, TextureViewDimension,
+};
 use bevy_smoke::prelude::*;
 
 use crate::scene::*;
@@ -45,32 +47,89 @@ fn the_cameras_environment_map_lights_the_smoke() {
     assert!(error(&picture(SmokeEnvironment::Camera, map(1.5)), &expected) > 0.1);
 }
 
+/// A cube map of which one face shines.
+fn one_face(images: &mut Assets<Image>, face: usize, rotation: Quat) -> EnvironmentMapLight {
+    let side = 16;
+    let texels = (0..6).flat_map(|f| vec![[if f == face { 10.0 } else { 0.0 }, 0.0, 0.0, 1.0]; side * side]);
+    let data = texels.flatten().flat_map(|v: f32| half::f16::from_f32(v).to_le_bytes()).collect();
+    let size = Extent3d { width: side as u32, height: side as u32, depth_or_array_layers: 6 };
+    let format = TextureFormat::Rgba16Float;
+    let mut image = Image::new(size, TextureDimension::D2, data, format, RenderAssetUsages::default());
+    let dimension = Some(TextureViewDimension::Cube);
+    image.texture_view_descriptor = Some(TextureViewDescriptor { dimension, ..default() });
+    let map = images.add(image);
+    EnvironmentMapLight { diffuse_map: map.clone(), specular_map: map, intensity: 1.0, rotation, ..default() }
+}
+
+fn by_face(face: usize, rotation: Quat) -> Vec<[f32; 4]> {
+    picture(SmokeEnvironment::Camera, |images| Some(one_face(images, face, rotation)))
+}
+
 #[test]
 fn the_environment_maps_rotation_is_honoured() {
-    let (red, green) = (Color::linear_rgb(1.0, 0.0, 0.0), Color::linear_rgb(0.0, 1.0, 0.0));
-    let map = |top: Color, bottom: Color, rotation: Quat| {
-        move |images: &mut Assets<Image>| {
-            let gray = Color::linear_rgb(0.2, 0.2, 0.2);
-            Some(EnvironmentMapLight {
-                rotation,
-                ..EnvironmentMapLight::hemispherical_gradient(images, top, gray, bottom)
-            })
-        }
-    };
-    let upright = picture(SmokeEnvironment::Camera, map(red, green, Quat::IDENTITY));
-    let swapped = picture(SmokeEnvironment::Camera, map(green, red, Quat::IDENTITY));
-    let turned = picture(SmokeEnvironment::Camera, map(green, red, Quat::from_rotation_z(std::f32::consts::PI)));
-    assert!(error(&swapped, &upright) > 0.02, "{}", error(&swapped, &upright));
-    assert!(error(&turned, &upright) < 2e-3, "{}", error(&turned, &upright));
+    // A quarter turn about Z takes +X (face 0) to +Y (face 2), and its inverse would take it to -Y (face 3).
+    let turned = by_face(0, Quat::from_rotation_z(std::f32::consts::FRAC_PI_2));
+    let (above, below) = (by_face(2, Quat::IDENTITY), by_face(3, Quat::IDENTITY));
+    assert!(error(&below, &above) > 0.1, "{}", error(&below, &above));
+    assert!(error(&turned, &above) < 2e-3, "{}", error(&turned, &above));
+}
+
+#[test]
+fn cube_maps_are_left_handed() {
+    // Bevy shows face 4, +Z of the map, in the direction -Z: behind the smoke for this camera, whose forward-scattering
+    // smoke is then brighter than with the light at its back.
+    let brightness = |pixels: &[[f32; 4]]| pixels.iter().map(|pixel| f64::from(pixel[0])).sum::<f64>();
+    let (behind, at_the_back) = (by_face(4, Quat::IDENTITY), by_face(5, Quat::IDENTITY));
+    assert!(brightness(&behind) > 1.5 * brightness(&at_the_back));
+}
+
+/// Two cameras that turn one map differently are lit each by its own, and neither disturbs the other.
+#[test]
+fn cameras_may_turn_one_map_differently() {
+    let mut app = app();
+    let (volume, medium, _, transform) = smoke(&mut app);
+    app.app.world_mut().spawn((volume, SmokeMedium { g: 0.6, ..medium }, SmokeEnvironment::Camera, transform));
+    let quarter = Quat::from_rotation_z(std::f32::consts::FRAC_PI_2);
+    let map = one_face(&mut app.app.world_mut().resource_mut::<Assets<Image>>(), 0, quarter);
+    let first = camera(&app);
+    app.app.world_mut().spawn(first).insert(map.clone());
+    // The other draws first, into an image of its own, and is seen only by what it changes.
+    let other = Image::new_target_texture(SIZE.x, SIZE.y, TextureFormat::Rgba16Float, None);
+    let other = app.app.world_mut().resource_mut::<Assets<Image>>().add(other);
+    let second = camera(&app);
+    let target = bevy::camera::RenderTarget::Image(other.into());
+    let turned_back = EnvironmentMapLight { rotation: quarter.inverse(), ..map };
+    app.app.world_mut().spawn(second).insert((Camera { order: -1, ..default() }, target, turned_back));
+    let found = draw(&mut app);
+    let expected = by_face(2, Quat::IDENTITY);
+    assert!(error(&found, &expected) < 2e-3, "{}", error(&found, &expected));
+    let before = dispatches(&app);
+    app.app.update();
+    assert_eq!(before[..6], dispatches(&app)[..6], "a static scene");
+}
+
+/// Light in any unit is drawn without overflow, and what the picture's format cannot hold is cut, not infinite.
+#[test]
+fn extreme_radiance_stays_finite() {
+    for radiance in [1e-12, 1e7, 1e30] {
+        let bright = picture(SmokeEnvironment::constant(Vec3::splat(radiance), 1.0), |_| None);
+        assert!(bright.iter().flatten().all(|value| (0.0..=65_504.0).contains(value)));
+        assert!(coverage(&bright) > 100.0);
+        assert!(radiance < 1.0 || bright.iter().any(|pixel| pixel[0] == 65_504.0));
+    }
+    // The same light in another unit, brought back by its intensity, is the same picture.
+    let plain = picture(SmokeEnvironment::constant(Vec3::ONE, 1.0), |_| None);
+    let scaled = picture(SmokeEnvironment::constant(Vec3::splat(1e9), 1e-9), |_| None);
+    assert!(error(&scaled, &plain) < 1e-3, "{}", error(&scaled, &plain));
 }
 
 #[test]
 fn an_equirect_image_lights_as_its_coefficients_do() {
-    // L = 1 + x + y/2: exact in two bands.
+    // L = 1 + x/2 + y/4 + z/5: exact in two bands, and different in every direction.
     let (width, height) = (128u32, 64u32);
     let radiance = |u: f32, v: f32| {
         let (phi, theta) = (u * std::f32::consts::TAU, v * std::f32::consts::PI);
-        1.0 + phi.sin() * theta.sin() + 0.5 * theta.cos()
+        1.0 + 0.5 * phi.sin() * theta.sin() + 0.25 * theta.cos() - 0.2 * phi.cos() * theta.sin()
     };
     let data: Vec<u8> = (0..width * height)
         .map(|i| radiance(((i % width) as f32 + 0.5) / width as f32, ((i / width) as f32 + 0.5) / height as f32))
@@ -97,8 +156,8 @@ fn an_equirect_image_lights_as_its_coefficients_do() {
     let color = Vec3::new(1.0, 0.5, 1.0);
     let pi = std::f32::consts::PI;
     coefficients[0] = color * (4.0 * pi).sqrt();
-    coefficients[3] = -color * (4.0 * pi / 3.0).sqrt();
-    coefficients[1] = -0.5 * color * (4.0 * pi / 3.0).sqrt();
+    let linear = color * (4.0 * pi / 3.0).sqrt();
+    (coefficients[3], coefficients[1], coefficients[2]) = (-0.5 * linear, -0.25 * linear, 0.2 * linear);
     let expected = picture(SmokeEnvironment::Coefficients { coefficients, intensity: 2.0 }, |_| None);
     assert!(error(&found, &expected) < 2e-3, "{}", error(&found, &expected));
 }

@@ -3,6 +3,7 @@
 use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
 use bevy_smoke::headless::Headless;
+use bevy_smoke::prelude::*;
 
 use crate::scene::save;
 
@@ -13,40 +14,56 @@ mod demo;
 #[path = "../../examples/minimal.rs"]
 mod minimal;
 
-fn picture<M>(
+/// The scene with its smoke, and without it.
+fn pictures<M>(
     name: &str,
     size: UVec2,
     setup: impl IntoScheduleConfigs<bevy::ecs::system::ScheduleSystem, M>,
-) -> Vec<[u8; 4]> {
+) -> [Vec<[u8; 4]>; 2] {
     let mut headless = Headless::new(size, TextureFormat::Rgba8UnormSrgb).unwrap();
     headless.draw_cameras_to_image();
     headless.app.add_systems(Startup, setup);
     headless.settle().unwrap();
-    for _ in 0..3 {
-        headless.app.update();
-    }
-    let pixels = headless.pixels();
-    save(name, size, &pixels);
-    pixels.as_chunks().0.to_vec()
+    let draw = |headless: &mut Headless| {
+        for _ in 0..3 {
+            headless.app.update();
+        }
+        headless.pixels()
+    };
+    let with = draw(&mut headless);
+    save(name, size, &with);
+    let world = headless.app.world_mut();
+    let volumes: Vec<Entity> = world.query_filtered::<Entity, With<SmokeVolume>>().iter(world).collect();
+    assert_eq!(volumes.len(), 1);
+    world.despawn(volumes[0]);
+    let without = draw(&mut headless);
+    [with, without].map(|pixels| pixels.as_chunks().0.to_vec())
+}
+
+/// Pixels that smoke changes by more than a little.
+fn smoky([with, without]: &[Vec<[u8; 4]>; 2]) -> usize {
+    let differs = |(a, b): &(&[u8; 4], &[u8; 4])| a.iter().zip(*b).any(|(a, b)| a.abs_diff(*b) > 10);
+    with.iter().zip(without).filter(differs).count()
 }
 
 #[test]
 fn minimal_shows_smoke() {
-    let size = UVec2::new(160, 120);
-    let pixels = picture("minimal", size, minimal::setup);
-    let background = pixels[0];
-    let smoke = pixels.iter().filter(|pixel| pixel[1] > background[1].saturating_add(30)).count();
-    // A column about a third as wide as the view is high.
-    assert!(smoke * 100 > pixels.len() * 5, "{smoke} of {} pixels show smoke", pixels.len());
+    let size = UVec2::new(256, 192);
+    let pictures = pictures("minimal", size, minimal::setup);
+    let (smoke, all) = (smoky(&pictures), pictures[0].len());
+    // A column a quarter as wide as the view is high.
+    assert!((all / 20..all / 2).contains(&smoke), "{smoke} of {all} pixels show smoke");
 }
 
 #[test]
 fn demo_shows_smoke_and_meshes() {
     let size = UVec2::new(480, 360);
-    let pixels = picture("demo", size, demo::setup);
-    let count = |is: &dyn Fn([u8; 4]) -> bool| pixels.iter().filter(|pixel| is(**pixel)).count();
+    let pictures = pictures("demo", size, demo::setup);
+    let (smoke, all) = (smoky(&pictures), pictures[0].len());
+    assert!((all / 40..all / 2).contains(&smoke), "{smoke} of {all} pixels show smoke");
+    let count = |is: &dyn Fn([u8; 4]) -> bool| pictures[0].iter().filter(|pixel| is(**pixel)).count();
     let red = count(&|[r, g, b, _]| u32::from(r) > 2 * u32::from(g) && u32::from(r) > 2 * u32::from(b));
-    let blue = count(&|[r, g, b, _]| u32::from(b) * 2 > 3 * u32::from(r) && u32::from(b) * 4 > 5 * u32::from(g));
-    assert!(red > 300, "the sphere in front of the smoke: {red} pixels");
-    assert!(blue > 300, "the wall behind it: {blue} pixels");
+    let blue = count(&|[r, g, b, _]| 2 * u32::from(b) > 3 * u32::from(r) && 2 * u32::from(b) > 3 * u32::from(g));
+    assert!(red > 1000, "the sphere in front of the smoke: {red} pixels");
+    assert!(blue > 1000, "the wall behind it: {blue} pixels");
 }

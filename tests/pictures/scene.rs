@@ -86,14 +86,15 @@ pub fn coverage(pixels: &[[f32; 4]]) -> f64 {
     pixels.iter().map(|pixel| f64::from(pixel[3])).sum()
 }
 
-/// Writes a picture of sRGB bytes where `SMOKE_PICTURES` asks for it.
+/// Writes a picture of sRGB bytes where `SMOKE_PICTURES` asks for it; small ones enlarged, pixel by pixel.
 pub fn save(name: &str, size: UVec2, rgba: &[u8]) {
-    let Ok(folder) = std::env::var("SMOKE_PICTURES") else {
-        return;
-    };
-    let opaque: Vec<u8> = rgba.as_chunks::<4>().0.iter().flat_map(|p| p[..3].to_vec()).collect();
-    let path = std::path::Path::new(&folder).join(name).with_extension("png");
-    image::save_buffer(&path, &opaque, size.x, size.y, image::ColorType::Rgb8).unwrap();
+    let Ok(folder) = std::env::var("SMOKE_PICTURES") else { return };
+    let enlarged = 256_u32.div_ceil(size.x);
+    let picture = image::RgbImage::from_fn(size.x * enlarged, size.y * enlarged, |x, y| {
+        let at = 4 * (y / enlarged * size.x + x / enlarged) as usize;
+        image::Rgb([rgba[at], rgba[at + 1], rgba[at + 2]])
+    });
+    picture.save(std::path::Path::new(&folder).join(name).with_extension("png")).unwrap();
 }
 
 /// The same of linear radiance over black, as sRGB.

@@ -1,6 +1,8 @@
 //! What is computed when: nothing twice, and nothing that did not change.
 
+use bevy::asset::RenderAssetUsages;
 use bevy::prelude::*;
+use bevy::render::render_resource::{Extent3d, TextureDimension, TextureFormat};
 use bevy_smoke::headless::Headless;
 use bevy_smoke::prelude::*;
 
@@ -103,4 +105,77 @@ fn volumes_come_and_go() {
     app.app.world_mut().spawn(volume);
     draw(&mut app);
     assert!(coverage(&app.float_pixels()) > 0.0);
+}
+
+/// An environment image whose content changes lights the smoke anew.
+#[test]
+fn a_changed_image_is_projected_again() {
+    let mut app = app();
+    let image = Image::new_fill(
+        Extent3d { width: 8, height: 4, depth_or_array_layers: 1 },
+        TextureDimension::D2,
+        bytemuck::cast_slice(&[1.0_f32, 1.0, 1.0, 1.0]),
+        TextureFormat::Rgba32Float,
+        RenderAssetUsages::default(),
+    );
+    let image = app.app.world_mut().resource_mut::<Assets<Image>>().add(image);
+    let (volume, medium, _, transform) = smoke(&mut app);
+    app.app.world_mut().spawn((volume, medium, SmokeEnvironment::equirect(image.clone(), 1.0), transform));
+    let camera = camera(&app);
+    app.app.world_mut().spawn(camera);
+    let white = draw(&mut app);
+    assert_eq!(dispatches(&app)[..6], [2, 1, 1, 1, 1, 1]);
+    let changed = after(&mut app, |world| {
+        let mut images = world.resource_mut::<Assets<Image>>();
+        let mut image = images.get_mut(&image).unwrap();
+        let red = [2.0_f32, 0.0, 0.0, 1.0];
+        image.data = Some(bytemuck::cast_slice(&red).repeat(32));
+    });
+    assert_eq!(changed, [2, 0, 0, 1, 1, 1]);
+    for (red, white) in app.float_pixels().iter().zip(&white) {
+        assert!((red[0] - 2.0 * white[0]).abs() <= 1e-6 + 2e-3 * white[0] && red[1] == 0.0, "{red:?} {white:?}");
+    }
+}
+
+/// Showing another frame unpacks it once and lights it.
+#[test]
+fn frames_are_unpacked_when_they_are_shown() {
+    let mut app = scene(0.0);
+    let world = app.app.world_mut();
+    let mut volumes = world.query::<&mut SmokeVolume>();
+    let handle = volumes.single(world).unwrap().animation.clone();
+    let mut animation = world.resource::<Assets<SmokeAnimation>>().get(&handle).unwrap().clone();
+    let mut frame = (*animation.frames[0]).clone();
+    frame.rbfs.rbfs.truncate(300);
+    animation.frames.push(frame.into());
+    let both = world.resource_mut::<Assets<SmokeAnimation>>().add(animation);
+    volumes.single_mut(world).unwrap().animation = both;
+    let first = draw(&mut app);
+    let show = |frame| set::<SmokeVolume>(move |volume| volume.frame = frame);
+    assert_eq!(after(&mut app, show(1)), [0, 1, 1, 1, 1, 1]);
+    assert!(rms(&app.float_pixels(), &first) > 1e-3, "the second frame looks like the first");
+    assert_eq!(after(&mut app, show(0)), [0, 0, 0, 1, 1, 1], "it has been unpacked before");
+    assert_eq!(app.float_pixels(), first);
+    // Past the end the last frame is shown.
+    after(&mut app, show(7));
+    assert!(rms(&app.float_pixels(), &first) > 1e-3);
+}
+
+/// Smoke without RBFs is drawn from its residual alone: there is density, and nowhere a source of radiance.
+#[test]
+fn smoke_without_rbfs_is_black_but_there() {
+    let mut app = app();
+    let (volume, medium, environment, transform) = smoke(&mut app);
+    let mut animations = app.app.world_mut().resource_mut::<Assets<SmokeAnimation>>();
+    let mut animation = animations.get(&volume.animation).unwrap().clone();
+    let mut frame = (*animation.frames[0]).clone();
+    frame.rbfs.rbfs.clear();
+    animation.frames = vec![frame.into()];
+    let volume = SmokeVolume::new(animations.add(animation));
+    app.app.world_mut().spawn((volume, medium, environment, transform));
+    let camera = camera(&app);
+    app.app.world_mut().spawn(camera);
+    let pixels = draw(&mut app);
+    assert!(coverage(&pixels) > 10.0);
+    assert!(pixels.iter().all(|pixel| pixel[..3] == [0.0; 3]));
 }

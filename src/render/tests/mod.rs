@@ -34,6 +34,8 @@ use crate::rbf::{Rbf, RbfModel};
 use crate::reference::Grid;
 use crate::residual::{HashedResidual, QuantizationLaw};
 
+/// What the filtered density textures' 1 stands for.
+const MAX_DENSITY: f32 = 2.0;
 /// Bound for passes that read and write f32 only.
 const EXACT: f64 = 2e-5;
 /// Bound for passes that read or write f16 textures.
@@ -89,7 +91,7 @@ impl Gpu {
         let mut encoder = self.device().create_command_encoder(&CommandEncoderDescriptor::default());
         for (pass, job) in jobs {
             let mut compute = encoder.begin_compute_pass(&ComputePassDescriptor::default());
-            assert!(pass.record(&mut compute, std::slice::from_ref(job), self.cache()));
+            assert!(pass.record(&mut compute, job, self.cache()));
         }
         self.queue().submit([encoder.finish()]);
     }
@@ -148,7 +150,7 @@ impl Gpu {
     }
 
     fn frame(&self, frame: &SmokeFrame) -> GpuSmokeFrame {
-        GpuSmokeFrame::new(frame.residual.shape(), frame, self.device(), self.queue())
+        GpuSmokeFrame::new(frame.residual.shape(), frame, MAX_DENSITY, self.device(), self.queue())
     }
 }
 

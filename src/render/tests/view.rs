@@ -23,7 +23,7 @@ fn picture(projection: Projection, camera: Transform, volume: Transform) -> (Vec
         shape,
         placement: Placement { center: DVec3::ZERO, voxel_size: 1.0 },
         frames_per_second: 30.0,
-        max_density: 2.0,
+        max_density: MAX_DENSITY,
         frames: vec![std::sync::Arc::new(frame)],
     };
     let sigma_t = 3.0;
@@ -50,11 +50,13 @@ fn picture(projection: Projection, camera: Transform, volume: Transform) -> (Vec
     let gpu = Gpu { headless };
     let texture = gpu.world().resource::<SmokeCache>().only_texture();
     let texels = gpu.read_texels(texture);
+    // What is stored is relative to the environment's largest coefficient: red's, 2 times 2 sqrt(pi).
+    let unit = 2.0 * (4.0 * std::f64::consts::PI).sqrt();
     let texels = texels.as_chunks::<4>().0;
     let input = Volume {
         shape,
-        radiance: texels.iter().map(|t| Vec3::new(t[0], t[1], t[2]).as_dvec3()).collect(),
-        density: texels.iter().map(|t| t[3].into()).collect(),
+        radiance: texels.iter().map(|t| unit * Vec3::new(t[0], t[1], t[2]).as_dvec3()).collect(),
+        density: texels.iter().map(|t| f64::from(t[3] * MAX_DENSITY)).collect(),
     };
 
     let mut projection = projection;

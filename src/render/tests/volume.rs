@@ -40,7 +40,12 @@ fn volume_matches_its_twin() {
     let texels = gpu.read_texels(&output);
     let texels = texels.as_chunks::<4>().0;
     let twin = reference::volume::volume(rbfs(&frame), &outgoing, &RbfBins::new(rbfs(&frame), shape), &density);
-    assert_close("volume, density", HALF, texels.iter().map(|t| t[3].into()), twin.density.iter().copied());
+    assert_close(
+        "volume, density",
+        HALF,
+        texels.iter().map(|t| f64::from(t[3] * MAX_DENSITY)),
+        twin.density.iter().copied(),
+    );
     // Where no density is near, the pass leaves black what the twin still computes: nothing ever reads it.
     let padded = GridShape::new(shape.dims + 2);
     let read = |i: &usize| {
