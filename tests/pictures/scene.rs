@@ -48,6 +48,20 @@ pub fn camera(app: &Headless) -> impl Bundle + use<> {
     )
 }
 
+/// The same with parallel rays, 3.2 metres high.
+pub fn parallel_camera(app: &Headless, eye: Transform) -> impl Bundle + use<> {
+    let mut projection = OrthographicProjection::default_3d();
+    projection.scaling_mode = bevy::camera::ScalingMode::FixedVertical { viewport_height: 3.2 };
+    (
+        Camera3d::default(),
+        Camera { clear_color: ClearColorConfig::Custom(Color::NONE), ..default() },
+        app.target(),
+        (Hdr, Msaa::Off, Tonemapping::None, DebandDither::Disabled, UNEXPOSED),
+        Projection::Orthographic(projection),
+        eye,
+    )
+}
+
 /// An unlit mesh of one linear colour.
 pub fn mesh(app: &mut Headless, mesh: impl Into<Mesh>, color: LinearRgba, transform: Transform) {
     let world = app.app.world_mut();
