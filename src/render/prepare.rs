@@ -79,6 +79,14 @@ struct SlicedVolume {
     outgoing: BindGroup,
     volume: BindGroup,
     last_used: u32,
+    seen: HashMap<RetainedViewEntity, SeenVolume>,
+}
+
+/// A 3D texture as one view draws it.
+struct SeenVolume {
+    uniform: Cached<SmokeUniform>,
+    bind_group: BindGroup,
+    last_used: u32,
 }
 
 /// A uniform buffer that knows what is in it.
@@ -116,6 +124,7 @@ pub(super) struct Gpu<'a> {
     pub queue: &'a RenderQueue,
     pub cache: &'a PipelineCache,
     pub passes: &'a SmokePasses,
+    view_pass: &'a ViewPass,
     pub sampler: &'a Sampler,
 }
 
@@ -140,7 +149,8 @@ pub(super) fn prepare_smoke(
     *now = now.wrapping_add(1);
     environments.begin(*now, changed_images.added.iter().chain(&changed_images.modified));
     let sampler = sampler.get_or_insert_with(|| linear_sampler(&device));
-    let gpu = Gpu { device: &device, queue: &queue, cache: &pipelines, passes: &passes, sampler };
+    let gpu =
+        Gpu { device: &device, queue: &queue, cache: &pipelines, passes: &passes, view_pass: &view_pass, sampler };
 
     for (view_entity, view, camera, visible) in &views {
         let mut drawn = Vec::new();
@@ -185,12 +195,11 @@ pub(super) fn prepare_smoke(
             let isotropic = volume.medium.g == 0.0;
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
-            let texture = lit_volume.slice(key, look, frame, animation.shape, *now, &gpu, &mut work);
+            let sliced = lit_volume.slice(key, look, frame, animation.shape, *now, &gpu, &mut work);
             let uniform = placed.smoke_uniform(view, eye, volume, lit.intensity * camera.exposure);
             if let Some(uniform) = uniform {
-                let distance = placed.distance(view);
-                let context = (&*device, &*queue, &*pipelines);
-                drawn.push(ViewSmokeVolume::new(uniform, texture, distance, &view_pass, gpu.sampler, context));
+                let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
+                drawn.push(ViewSmokeVolume { distance: placed.distance(view), bind_group });
             }
         }
         // Far to near; equal distances keep the order of their entities.
@@ -208,6 +217,9 @@ pub(super) fn prepare_smoke(
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
     for volume in volumes.values_mut() {
         volume.sliced.retain(|_, sliced| in_use(sliced.last_used));
+        for sliced in volume.sliced.values_mut() {
+            sliced.seen.retain(|_, seen| in_use(seen.last_used));
+        }
     }
 }
 
@@ -367,7 +379,7 @@ impl LitVolume {
         }
     }
 
-    /// The 3D texture for a view.
+    /// The 3D texture for a view, or for all.
     fn slice(
         &mut self,
         view: Option<RetainedViewEntity>,
@@ -377,7 +389,7 @@ impl LitVolume {
         now: u32,
         gpu: &Gpu,
         work: &mut SmokeWork,
-    ) -> &TextureView {
+    ) -> &mut SlicedVolume {
         let (probes, version) = (&self.probes, self.version);
         let sliced = self.sliced.entry(view).or_insert_with(|| SlicedVolume::new(eye, frame, shape, probes, gpu));
         sliced.last_used = now;
@@ -389,7 +401,7 @@ impl LitVolume {
             let bind_group = sliced.volume.clone();
             work.volume.push(Job { bind_group, workgroups: volume::workgroups(shape) });
         }
-        &sliced.texture
+        sliced
     }
 }
 
@@ -409,7 +421,22 @@ impl SlicedVolume {
             lit_version: 0,
             texture,
             last_used: 0,
+            seen: HashMap::default(),
         }
+    }
+
+    /// What a view binds to draw it.
+    fn see(&mut self, view: RetainedViewEntity, uniform: SmokeUniform, now: u32, gpu: &Gpu) -> BindGroup {
+        let texture = &self.texture;
+        let seen = self.seen.entry(view).or_insert_with(|| {
+            let uniform = Cached::new(uniform.clone(), gpu);
+            let bindings = (uniform.buffer(), texture, gpu.sampler);
+            let bind_group = gpu.view_pass.bind(bindings, gpu.device, gpu.cache);
+            SeenVolume { uniform, bind_group, last_used: now }
+        });
+        seen.last_used = now;
+        seen.uniform.set(uniform, gpu);
+        seen.bind_group.clone()
     }
 }
 

@@ -11,13 +11,13 @@ use bevy::render::render_resource::binding_types::{
     sampler, texture_3d, texture_depth_2d, texture_depth_2d_multisampled, uniform_buffer,
 };
 use bevy::render::render_resource::{
-    BindGroup, BindGroupEntry, BindGroupLayoutDescriptor, BindGroupLayoutEntries, BindingResource, BlendComponent,
-    BlendState, CachedRenderPipelineId, ColorTargetState, ColorWrites, FragmentState, MultisampleState, PipelineCache,
-    PrimitiveState, PrimitiveTopology, RenderPassDescriptor, RenderPipelineDescriptor, Sampler, SamplerBindingType,
-    ShaderStages, ShaderType, SpecializedRenderPipeline, SpecializedRenderPipelines, TextureFormat, TextureSampleType,
-    TextureUsages, TextureView, VertexState,
+    BindGroup, BindGroupEntries, BindGroupEntry, BindGroupLayoutDescriptor, BindGroupLayoutEntries, BindingResource,
+    BlendComponent, BlendState, Buffer, CachedRenderPipelineId, ColorTargetState, ColorWrites, FragmentState,
+    MultisampleState, PipelineCache, PrimitiveState, PrimitiveTopology, RenderPassDescriptor, RenderPipelineDescriptor,
+    Sampler, SamplerBindingType, ShaderStages, ShaderType, SpecializedRenderPipeline, SpecializedRenderPipelines,
+    TextureFormat, TextureSampleType, TextureUsages, TextureView, VertexState,
 };
-use bevy::render::renderer::{RenderContext, RenderDevice, RenderQueue, ViewQuery};
+use bevy::render::renderer::{RenderContext, RenderDevice, ViewQuery};
 use bevy::render::texture::{FallbackImage, GpuImage};
 use bevy::render::view::{
     ExtractedView, Msaa, ViewDepthTexture, ViewTarget, ViewUniform, ViewUniformOffset, ViewUniforms,
@@ -26,13 +26,12 @@ use bevy::shader::{Shader, ShaderDefVal};
 
 use super::SmokeRenderStats;
 use super::extract::ExtractedSmoke;
-use super::frame::uniform;
 
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_view";
 
 /// The `Smoke` of `view.wgsl`.
-#[derive(ShaderType, Clone, Debug)]
+#[derive(ShaderType, Clone, Debug, PartialEq)]
 pub(super) struct SmokeUniform {
     pub bundle_from_clip: Mat4,
     pub eye: Vec4,
@@ -50,7 +49,7 @@ pub(super) struct ViewSmoke(pub Vec<ViewSmokeVolume>);
 /// A volume that a view draws.
 pub(super) struct ViewSmokeVolume {
     pub distance: f32,
-    bind_group: BindGroup,
+    pub bind_group: BindGroup,
 }
 
 /// The pass's layouts and shader.
@@ -72,24 +71,17 @@ impl ViewPass {
         );
         Self { volume_layout: BindGroupLayoutDescriptor::new("smoke_view_volume", &entries), shader: shader.clone() }
     }
-}
 
-impl ViewSmokeVolume {
-    pub fn new(
-        smoke: SmokeUniform,
-        volume: &TextureView,
-        distance: f32,
-        pass: &ViewPass,
-        sampler: &Sampler,
-        (device, queue, cache): (&RenderDevice, &RenderQueue, &PipelineCache),
-    ) -> Self {
-        let uniform = uniform(device, queue, "smoke_view_volume", smoke);
-        let resources =
-            [uniform.as_entire_binding(), BindingResource::TextureView(volume), BindingResource::Sampler(sampler)];
-        let entries: Vec<BindGroupEntry> =
-            (0..).zip(resources).map(|(binding, resource)| BindGroupEntry { binding, resource }).collect();
-        let layout = cache.get_bind_group_layout(&pass.volume_layout);
-        Self { distance, bind_group: device.create_bind_group("smoke_view_volume", &layout, &entries) }
+    /// Binds one volume.
+    pub fn bind(
+        &self,
+        (uniform, volume, sampler): (&Buffer, &TextureView, &Sampler),
+        device: &RenderDevice,
+        cache: &PipelineCache,
+    ) -> BindGroup {
+        let layout = cache.get_bind_group_layout(&self.volume_layout);
+        let entries = BindGroupEntries::sequential((uniform.as_entire_binding(), volume, sampler));
+        device.create_bind_group("smoke_view_volume", &layout, &entries)
     }
 }
 
