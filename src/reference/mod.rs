@@ -4,14 +4,15 @@
 //! most obvious way, and is itself tested against closed forms. Everything is in bundle space, in bundle axes; `sigma`
 //! is extinction per bundle unit, σ_t times the world length of the box's longest side.
 //!
-//! Beside the passes: [`single`], single scattering without any of the method's approximations, and [`compare`], the
-//! error of an image.
+//! Beside the passes: [`single`], single scattering without any of the method's approximations, [`path`], a path tracer
+//! for any number of scattering events, and [`compare`], the error of an image.
 
 pub mod coarse;
 pub mod compare;
 pub mod density;
 pub mod environment;
 pub mod outgoing;
+pub mod path;
 pub mod single;
 pub mod source_radiance;
 pub mod view;
