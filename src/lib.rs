@@ -51,6 +51,8 @@ pub mod headless;
 pub mod lighting;
 pub mod medium;
 pub mod optics;
+#[cfg(any(feature = "bake", feature = "reference"))]
+mod random;
 pub mod rbf;
 #[cfg(feature = "reference")]
 pub mod reference;

@@ -52,3 +52,9 @@ impl SmokeEnvironment {
         Self::Equirect { image, intensity, rotation: Quat::IDENTITY }
     }
 }
+
+/// The largest magnitude among coefficients, or 1 where all are 0: what they are divided by where range is short.
+pub(crate) fn magnitude(coefficients: &EnvironmentCoefficients) -> f32 {
+    let largest = coefficients.iter().fold(0.0_f32, |largest, c| largest.max(c.abs().max_element()));
+    if largest > 0.0 { largest } else { 1.0 }
+}

@@ -13,10 +13,10 @@ use std::time::Instant;
 
 use crate::bundle::{self, BundleError, SmokeAnimation, SmokeFrame};
 use crate::density::DensityGrid;
-use crate::rbf::RbfModel;
 use crate::rbf::fit::{Fit, FitError, FitProgress, FitSettings, FitTarget, fit};
 use crate::residual::{HashedResidual, QuantizationLaw, ResidualError};
 
+use picture::Picture;
 pub use picture::{PictureError, picture_error};
 pub use report::{BakeReport, BytesReport, FitSeconds, FitSummary, ResidualReport, SourceReport, StageSeconds};
 pub use verify::{QuantizationReport, Worst};
@@ -109,8 +109,8 @@ pub fn bake(grid: &DensityGrid, settings: &BakeSettings, progress: &dyn Fn(BakeP
     let fit = clock.lap();
 
     progress(BakeProgress::Residual);
-    let residuals = verify::difference(&grid.values, &rbfs.rasterize(grid.shape));
-    let frame = quantize(grid, rbfs, &residuals, settings.residual_exponent)?;
+    let residual = quantize(grid, &rbfs.rasterize(grid.shape), settings.residual_exponent)?;
+    let frame = SmokeFrame { rbfs, residual };
     let residual = clock.lap();
 
     progress(BakeProgress::Compressing);
@@ -150,25 +150,25 @@ pub fn bake(grid: &DensityGrid, settings: &BakeSettings, progress: &dyn Fn(BakeP
     Ok(Baked { animation, file, report })
 }
 
-/// Quantises and hashes the residual, by the law of the given exponent or by the first that is good enough.
-fn quantize(
-    grid: &DensityGrid,
-    rbfs: RbfModel,
-    residuals: &[f32],
-    exponent: Option<f32>,
-) -> Result<SmokeFrame, BakeError> {
+/// Quantises and hashes what the model leaves out, by the law of the given exponent or by the first that is good enough.
+fn quantize(grid: &DensityGrid, model: &[f32], exponent: Option<f32>) -> Result<HashedResidual, BakeError> {
+    let residuals = verify::difference(&grid.values, model);
     let max = residuals.iter().fold(0f32, |max, r| max.max(r.abs()));
-    let choices = exponent.map_or(EXPONENTS.to_vec(), |exponent| vec![exponent]);
-    let mut frame = SmokeFrame { rbfs, residual: HashedResidual::empty(grid.shape) };
-    for exponent in choices {
+    let encode = |exponent: f32| {
         let law = QuantizationLaw { max, exponent };
-        let codes: Vec<i8> = residuals.iter().map(|&r| law.encode(r)).collect();
-        frame.residual = HashedResidual::build(grid.shape, &codes, law)?;
-        if picture_error(grid, &frame).quantized <= PICTURE_BUDGET {
-            break;
-        }
-    }
-    Ok(frame)
+        (law, residuals.iter().map(|&r| law.encode(r)).collect::<Vec<i8>>())
+    };
+    let picture = Picture::new(grid);
+    let is_good = |(law, codes): &(QuantizationLaw, Vec<i8>)| {
+        let decoded: Vec<f32> = model.iter().zip(codes).map(|(m, &q)| (m + law.decode(q)).max(0.0)).collect();
+        picture.error(&decoded).0 <= PICTURE_BUDGET
+    };
+    let [rising @ .., largest] = EXPONENTS;
+    let (law, codes) = match exponent {
+        Some(exponent) => encode(exponent),
+        None => rising.into_iter().map(encode).find(is_good).unwrap_or_else(|| encode(largest)),
+    };
+    Ok(HashedResidual::build(grid.shape, &codes, law)?)
 }
 
 /// Seconds since it was last asked.

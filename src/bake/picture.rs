@@ -31,12 +31,30 @@ pub struct PictureError {
 
 /// Measures the picture of a frame against that of the grid it was made from.
 pub fn picture_error(grid: &DensityGrid, frame: &SmokeFrame) -> PictureError {
-    let exact = columns(grid.shape, &grid.values);
-    let sigma = extinction(&exact);
-    let opacity = |column: &f64| -(-sigma * column).exp_m1();
-    let error = |density: &[f32]| {
+    let picture = Picture::new(grid);
+    let (quantized, pixels) = picture.error(&frame.decode());
+    let (without_residual, _) = picture.error(&frame.rbfs.rasterize(grid.shape));
+    PictureError { quantized, without_residual, pixels, sigma_per_cell: picture.sigma }
+}
+
+/// The picture of a grid, to compare others with.
+pub(super) struct Picture {
+    shape: GridShape,
+    exact: Vec<f64>,
+    sigma: f64,
+}
+
+impl Picture {
+    pub fn new(grid: &DensityGrid) -> Self {
+        let exact = columns(grid.shape, &grid.values);
+        Self { shape: grid.shape, sigma: extinction(&exact), exact }
+    }
+
+    /// Relative RMS error of the picture that `density` gives, and the number of pixels with smoke.
+    pub fn error(&self, density: &[f32]) -> (f64, usize) {
+        let opacity = |column: &f64| -(-self.sigma * column).exp_m1();
         let (mut difference, mut reference, mut pixels) = (0.0, 0.0, 0);
-        for (a, b) in exact.iter().zip(&columns(grid.shape, density)) {
+        for (a, b) in self.exact.iter().zip(&columns(self.shape, density)) {
             let (a, b) = (opacity(a), opacity(b));
             if a > SMOKE_OPACITY {
                 difference += (a - b) * (a - b);
@@ -45,10 +63,7 @@ pub fn picture_error(grid: &DensityGrid, frame: &SmokeFrame) -> PictureError {
             }
         }
         (relative(difference, reference), pixels)
-    };
-    let (quantized, pixels) = error(&frame.decode());
-    let (without_residual, _) = error(&frame.rbfs.rasterize(grid.shape));
-    PictureError { quantized, without_residual, pixels, sigma_per_cell: sigma }
+    }
 }
 
 /// Density summed along z.

@@ -19,6 +19,7 @@ use super::output::OutputFile;
 use super::scene::{Environment, Scene, ScenePlacement};
 use crate::bundle::{self, SmokeAnimation};
 use crate::headless::{Headless, HeadlessError};
+use crate::lighting::magnitude;
 use crate::prelude::*;
 use crate::render::SmokeRenderStats;
 
@@ -289,8 +290,7 @@ fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation
         }
         lobes => {
             let coefficients = lobes.coefficients().expect("lobes have coefficients").0.map(|c| c.as_vec3());
-            let largest = coefficients.iter().fold(0.0_f32, |largest, c| largest.max(c.abs().max_element()));
-            let unit = if largest > 0.0 { largest } else { 1.0 };
+            let unit = magnitude(&coefficients);
             (SmokeEnvironment::Coefficients { coefficients, intensity: 1.0 / unit }, unit)
         }
     };
@@ -393,12 +393,11 @@ fn pass_stats(counts: &[[u32; SmokeRenderStats::PASSES.len()]], diagnostics: &Di
         .zip(SmokeRenderStats::PASSES)
         .map(|(i, name): (usize, _)| {
             let dispatches = counts.windows(2).map(|pair| pair[1][i] - pair[0][i]).collect();
-            // Bevy keeps the last 120 times: then the first is none of them.
-            let (first_ms, rest) = match times(name).split_first() {
-                Some(_) if times(name).len() >= DEFAULT_MAX_HISTORY_LENGTH => (None, times(name)),
-                Some((first, rest)) => (Some(*first), rest.to_vec()),
-                None => (None, Vec::new()),
-            };
+            let times = times(name);
+            let first_ms = times.first().copied();
+            // Bevy keeps the last 120 times: once it is full the first is none of them.
+            let first_ms = first_ms.filter(|_| times.len() < DEFAULT_MAX_HISTORY_LENGTH);
+            let rest = times[usize::from(first_ms.is_some())..].to_vec();
             PassStats { name, dispatches, first_ms, steady_ms: median(rest) }
         })
         .collect()

@@ -15,6 +15,7 @@ use rayon::prelude::*;
 
 use super::{Grid, Medium, Ray, cell_size, half_extent};
 use crate::density::GridShape;
+use crate::random::SplitMix64;
 
 /// Cells a side of a block that shares one majorant.
 const BLOCK: u32 = 8;
@@ -190,29 +191,20 @@ pub fn render(
     image
 }
 
-/// Random numbers: SplitMix64 (Steele, Lea and Flood 2014, *Fast Splittable Pseudorandom Number Generators*; constants
-/// from Vigna's public-domain `splitmix64.c`), a hash of a counter.
+/// The random numbers of one pixel.
 #[derive(Clone, Debug)]
-pub struct Rng(u64);
+pub struct Rng(SplitMix64);
 
 impl Rng {
     /// A stream of its own for every pair of numbers: streams start at random places of a cycle of 2⁶⁴.
     pub fn new(seed: u64, stream: u64) -> Self {
-        let mut seeded = Self(seed);
-        let offset = seeded.next();
-        Self(Self(offset ^ stream).next())
-    }
-
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        let offset = SplitMix64(seed).bits();
+        Self(SplitMix64(SplitMix64(offset ^ stream).bits()))
     }
 
     /// Uniform in [0, 1).
     pub fn uniform(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+        (self.0.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
 
     /// Exponential with mean 1.

@@ -16,7 +16,7 @@ use super::SmokeWork;
 use super::environment::{RadianceMap, coefficient_buffer};
 use super::extract::{ExtractedSmoke, ExtractedVolume};
 use super::prepare::Gpu;
-use crate::lighting::{EnvironmentCoefficients, SmokeEnvironment};
+use crate::lighting::{EnvironmentCoefficients, SmokeEnvironment, magnitude};
 
 /// What tells one light on a volume from another.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
@@ -130,8 +130,7 @@ impl Light {
 
     fn coefficients(key: EnvironmentKey, coefficients: &EnvironmentCoefficients, intensity: f32) -> Self {
         // The passes' textures are f16: let them see numbers near 1, whatever the unit.
-        let largest = coefficients.iter().fold(0.0_f32, |largest, c| largest.max(c.abs().max_element()));
-        let scale = if largest > 0.0 { largest } else { 1.0 };
+        let scale = magnitude(coefficients);
         Self {
             key: LightKey { environment: key, owner: None },
             content: Content::Coefficients(coefficients.map(|c| c / scale)),
@@ -194,13 +193,8 @@ impl Environments {
         gpu: &Gpu,
         work: &mut SmokeWork,
     ) -> Option<Lit<'_>> {
-        let (source, map) = match light.content {
-            Content::Coefficients(coefficients) => (Source::Coefficients(coefficients), None),
-            Content::Image { id, cube } => {
-                let image = images.get(id)?;
-                (Source::Texture(image.texture.id()), Some((image, radiance_map(image, cube, gpu)?)))
-            }
-        };
+        let content = Resolved::new(light.content, images, gpu)?;
+        let source = content.source();
         let environment = self.entries.entry(light.key.environment).or_insert_with(|| Environment {
             coefficients: coefficient_buffer(gpu.device),
             source: None,
@@ -209,19 +203,17 @@ impl Environments {
             version: 0,
         });
         environment.last_used = self.now;
-        let live = map.as_ref().is_some_and(|(image, _)| is_live(image));
         let done = environment.last_changed == self.now;
-        if !done && (live || environment.source != Some(source)) {
-            match (light.content, map) {
-                (Content::Image { .. }, Some((_, map))) => {
-                    let pass = &gpu.passes.environment;
-                    work.environment.push(pass.job(map, &environment.coefficients, gpu.device, gpu.cache));
-                }
-                (Content::Coefficients(coefficients), _) => {
+        if !done && (content.is_live() || environment.source != Some(source)) {
+            match content {
+                Resolved::Coefficients(coefficients) => {
                     let padded = coefficients.map(|c| c.extend(0.0));
                     gpu.queue.write_buffer(&environment.coefficients, 0, bytemuck::cast_slice(&padded));
                 }
-                (Content::Image { .. }, None) => unreachable!("an image has a map"),
+                Resolved::Image(_, map) => {
+                    let pass = &gpu.passes.environment;
+                    work.environment.push(pass.job(map, &environment.coefficients, gpu.device, gpu.cache));
+                }
             }
             environment.source = Some(source);
             environment.last_changed = self.now;
@@ -237,11 +229,39 @@ impl Environments {
     }
 }
 
-/// Whether the GPU itself writes the image, as it does generated environment maps: then its content may change unseen,
-/// and is projected every frame.
-fn is_live(image: &GpuImage) -> bool {
-    let written = TextureUsages::STORAGE_BINDING | TextureUsages::RENDER_ATTACHMENT;
-    !image.had_data || image.texture_descriptor.usage.intersects(written)
+/// What a light is made of, at hand.
+enum Resolved<'a> {
+    Coefficients(EnvironmentCoefficients),
+    Image(&'a GpuImage, RadianceMap<'a>),
+}
+
+impl<'a> Resolved<'a> {
+    fn new(content: Content, images: &'a RenderAssets<GpuImage>, gpu: &Gpu) -> Option<Self> {
+        Some(match content {
+            Content::Coefficients(coefficients) => Self::Coefficients(coefficients),
+            Content::Image { id, cube } => {
+                let image = images.get(id)?;
+                Self::Image(image, radiance_map(image, cube, gpu)?)
+            }
+        })
+    }
+
+    fn source(&self) -> Source {
+        match self {
+            Self::Coefficients(coefficients) => Source::Coefficients(*coefficients),
+            Self::Image(image, _) => Source::Texture(image.texture.id()),
+        }
+    }
+
+    /// Whether the GPU itself writes the image, as it does generated environment maps: then its content may change
+    /// unseen, and is projected every frame.
+    fn is_live(&self) -> bool {
+        let written = TextureUsages::STORAGE_BINDING | TextureUsages::RENDER_ATTACHMENT;
+        match self {
+            Self::Coefficients(_) => false,
+            Self::Image(image, _) => !image.had_data || image.texture_descriptor.usage.intersects(written),
+        }
+    }
 }
 
 /// An image as the environment pass reads it; None, with one warning, where its shape or format is wrong.

@@ -42,7 +42,7 @@ pub(super) struct SmokeUniform {
     pub radiance_scale: f32,
 }
 
-/// The volumes that a view draws, far to near.
+/// The volumes that a view draws, far to near; never none.
 #[derive(Component)]
 pub(super) struct ViewSmoke(pub Vec<ViewSmokeVolume>);
 
@@ -174,6 +174,7 @@ impl SpecializedRenderPipeline for ViewPass {
 pub(super) struct ViewSmokePipeline {
     id: CachedRenderPipelineId,
     layout: BindGroupLayoutDescriptor,
+    key: ViewPassKey,
 }
 
 /// Picks the pipeline of every view that may draw smoke.
@@ -193,7 +194,7 @@ pub(super) fn prepare_view_pipelines(
         let tonemapping = tonemapping.copied().filter(|_| !camera.hdr);
         let key = ViewPassKey { target_format: view.target_format, samples: msaa.samples(), tonemapping };
         let id = pipelines.specialize(&cache, &pass, key);
-        commands.entity(entity).insert(ViewSmokePipeline { id, layout: key.view_layout() });
+        commands.entity(entity).insert(ViewSmokePipeline { id, layout: key.view_layout(), key });
     }
 }
 
@@ -224,8 +225,6 @@ pub(super) fn view(
         &ExtractedCamera,
         &ViewSmoke,
         &ViewSmokePipeline,
-        &Msaa,
-        Option<&Tonemapping>,
     )>,
     view_uniforms: Res<ViewUniforms>,
     cache: Res<PipelineCache>,
@@ -233,17 +232,14 @@ pub(super) fn view(
     stats: Res<SmokeRenderStats>,
     mut ctx: RenderContext,
 ) {
-    let (target, depth, offset, camera, smoke, pipeline, msaa, tonemapping) = view.into_inner();
+    let (target, depth, offset, camera, smoke, pipeline) = view.into_inner();
     let (Some(render_pipeline), Some(view_uniforms)) =
         (cache.get_render_pipeline(pipeline.id), view_uniforms.uniforms.binding())
     else {
         return;
     };
-    if smoke.0.is_empty() {
-        return;
-    }
     let mut resources = vec![view_uniforms, BindingResource::TextureView(depth.view())];
-    if let Some(tonemapping) = tonemapping.filter(|_| !camera.hdr) {
+    if let Some(tonemapping) = &pipeline.key.tonemapping {
         let (lut, sampler) = get_lut_bindings(&tables.images, &tables.luts, tonemapping, &tables.fallback);
         resources.extend([BindingResource::TextureView(lut), BindingResource::Sampler(sampler)]);
     }
@@ -270,7 +266,7 @@ pub(super) fn view(
     pass.set_bind_group(0, &view_bind_group, &[offset.offset]);
     for volume in &smoke.0 {
         pass.set_bind_group(1, &volume.bind_group, &[]);
-        pass.draw(0..4, 0..msaa.samples());
+        pass.draw(0..4, 0..pipeline.key.samples);
         stats.view.add(1);
     }
     span.end(&mut pass);

@@ -12,6 +12,14 @@ struct Lighting {
     bands: vec4<f32>,
 }
 
+// Radiance that leaves an RBF toward the eye: its mean Jbar, then the gradient's columns, d/dx, d/dy, d/dz.
+struct Outgoing {
+    mean: vec3<f32>,
+    dx: vec3<f32>,
+    dy: vec3<f32>,
+    dz: vec3<f32>,
+}
+
 // Directions each probe looks in; one thread each.
 const DIRECTIONS: u32 = 64u;
 // Radius of the tetrahedron of probes over the RBF's.

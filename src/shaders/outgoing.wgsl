@@ -3,19 +3,11 @@
 // Taking v at each probe, not at the centre, lets the gradient follow the look direction too.
 #import bevy_smoke::frame::{Frame, Rbf}
 #import bevy_smoke::sh::{basis, SH_COEFFICIENTS}
-#import bevy_smoke::lighting::{probe_position, tetrahedron, RHO}
+#import bevy_smoke::lighting::{Outgoing, probe_position, tetrahedron, RHO}
 
 struct Look {
     // Bundle space: the eye (w = 1, perspective) or the direction of all rays (w = 0, orthographic).
     eye: vec4<f32>,
-}
-
-// Jbar, then the gradient's columns: d/dx, d/dy, d/dz.
-struct Outgoing {
-    mean: vec3<f32>,
-    dx: vec3<f32>,
-    dy: vec3<f32>,
-    dz: vec3<f32>,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

@@ -3,13 +3,7 @@
 // beside the density. The tail, a millionth at the centre, decays slowly: where no RBF reaches,
 // wisps take the source radiance of the nearest ones.
 #import bevy_smoke::frame::{Frame, Rbf, MAX_HALF, bin_index, cell_center}
-
-struct Outgoing {
-    mean: vec3<f32>,
-    dx: vec3<f32>,
-    dy: vec3<f32>,
-    dz: vec3<f32>,
-}
+#import bevy_smoke::lighting::Outgoing
 
 const TAIL: f32 = 1e-6;
 // The gradient is followed no farther than this many radii.

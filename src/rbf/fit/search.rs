@@ -10,6 +10,7 @@ use super::{
     Fit, FitProgress, FitReport, FitSettings, FitStage, FitTarget, RADIUS, WEIGHT, relative_error, significance,
 };
 use crate::density::GridShape;
+use crate::random::SplitMix64;
 use crate::rbf::{Rbf, RbfModel};
 
 /// Cells along the longest side of the copies on which Gaussians are placed, and on which they are teleported.
@@ -42,7 +43,7 @@ pub(super) struct Search<'a> {
     /// The copy on which Gaussians are placed.
     coarse: Field,
     rbfs: Vec<Rbf>,
-    random: Random,
+    random: SplitMix64,
     report: FitReport,
     progress: &'a dyn Fn(FitProgress),
     /// Share of the work that is done, and that the current stage will have done by its end.
@@ -61,7 +62,7 @@ impl<'a> Search<'a> {
             bounds,
             coarse,
             rbfs: Vec::new(),
-            random: Random(seed),
+            random: SplitMix64(seed),
             report: FitReport::default(),
             progress,
             done: 0.0,
@@ -332,18 +333,4 @@ fn slope(fewer: usize, larger: f32, more: usize, smaller: f32) -> f64 {
 /// The number of Gaussians that should have the error `target`, where `count` have `error`.
 fn count_for(target: f32, count: usize, error: f32, power: f64) -> usize {
     (count as f64 * f64::from(error / target).powf(1.0 / power)).ceil() as usize
-}
-
-/// SplitMix64: small, seeded, the same everywhere.
-pub(super) struct Random(pub u64);
-
-impl Random {
-    /// A number in 0..`end`, which is above 0.
-    pub fn below(&mut self, end: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) % end as u64) as usize
-    }
 }

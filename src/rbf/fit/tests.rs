@@ -5,8 +5,8 @@ use proptest::prelude::*;
 
 use super::field::Field;
 use super::objective::Objective;
-use super::search::Random;
 use super::*;
+use crate::random::SplitMix64;
 
 fn shape(x: u32, y: u32, z: u32) -> GridShape {
     GridShape::new(UVec3::new(x, y, z))
@@ -20,7 +20,7 @@ fn settings(target: FitTarget) -> FitSettings {
 
 /// Random Gaussians of all the sizes that a fit may use.
 fn blobs(shape: GridShape, count: usize, seed: u64) -> RbfModel {
-    let mut random = Random(seed);
+    let mut random = SplitMix64(seed);
     let mut uniform = move || random.below(1 << 20) as f32 / (1 << 20) as f32;
     let half = shape.half_extent();
     let rbfs = (0..count)
@@ -35,7 +35,7 @@ fn blobs(shape: GridShape, count: usize, seed: u64) -> RbfModel {
 
 /// Something like smoke: blobs, roughened cell by cell.
 fn smoke(shape: GridShape, seed: u64) -> Vec<f32> {
-    let mut random = Random(seed ^ 99);
+    let mut random = SplitMix64(seed ^ 99);
     let rough = blobs(shape, 40, seed).rasterize(shape);
     rough.iter().map(|value| value * (0.7 + 0.6 * random.below(1000) as f32 / 1000.0)).collect()
 }
@@ -232,7 +232,7 @@ proptest! {
         x in 1u32..12, y in 1u32..12, z in 1u32..12, count in 1usize..8, seed: u64, scale in -20f32..20.0,
     ) {
         let shape = shape(x, y, z);
-        let mut random = Random(seed);
+        let mut random = SplitMix64(seed);
         let scale = 10f32.powf(scale);
         let values: Vec<f32> = (0..shape.len()).map(|_| scale * random.below(4) as f32).collect();
         let max = values.iter().copied().fold(0.0, f32::max);
