@@ -5,16 +5,20 @@
 //! is extinction per bundle unit, σ_t times the world length of the box's longest side.
 //!
 //! Beside the passes: [`single`], single scattering without any of the method's approximations, [`path`], a path tracer
-//! for any number of scattering events, and [`compare`], the error of an image.
+//! for any number of scattering events, [`paper`], the method of Zhou et al. 2008 as printed, and [`compare`], the error
+//! of an image.
 
 pub mod coarse;
 pub mod compare;
 pub mod density;
 pub mod environment;
 pub mod outgoing;
+pub mod paper;
 pub mod path;
 pub mod single;
 pub mod source_radiance;
+pub mod sphere;
+pub mod taylor;
 pub mod view;
 pub mod volume;
 
