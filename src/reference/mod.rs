@@ -11,6 +11,7 @@
 pub mod coarse;
 pub mod compare;
 pub mod density;
+pub mod diffusion;
 pub mod environment;
 pub mod outgoing;
 pub mod paper;

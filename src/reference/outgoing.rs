@@ -47,7 +47,7 @@ pub fn outgoing(rbfs: &[Rbf], source_radiance: &[[ShRgb; 4]], viewer: Viewer) ->
 }
 
 /// J̄ = mean J_i and G = 3/(4ρr) Σ J_i t_iᵀ.
-fn linear_fit(values: [DVec3; 4], radius: f64) -> Outgoing {
+pub(super) fn linear_fit(values: [DVec3; 4], radius: f64) -> Outgoing {
     let mut fit = Outgoing { mean: DVec3::ZERO, gradient: DMat3::ZERO };
     for (value, t) in values.into_iter().zip(TETRAHEDRON) {
         fit.mean += value / 4.0;

@@ -56,10 +56,15 @@ pub fn volume(rbfs: &[Rbf], outgoing: &[Outgoing], bins: &RbfBins, density: &Gri
     Volume { shape, radiance, density }
 }
 
-/// J(x) = max(0, Σ φ (J̄ + G δ) / Σ φ), with φ = w (exp(−u²) + 1e-6/(1+u²)²), u = |x−c|/r, and δ = x−c, but no longer
+/// The radiance that [`volume`] gives a point: [`blend`], but never below zero.
+fn interpolate<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>) -> DVec3 {
+    blend(x, rbfs).max(DVec3::ZERO)
+}
+
+/// Σ φ (J̄ + G δ) / Σ φ, with φ = w (exp(−u²) + 1e-6/(1+u²)²), u = |x−c|/r, and δ = x−c, but no longer
 /// than 2r. The tail of φ carries radiance beyond the Gaussians; the shorter δ keeps it bounded there. Black without
 /// any RBF.
-fn interpolate<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>) -> DVec3 {
+pub(super) fn blend<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>) -> DVec3 {
     let (mut sum, mut total) = (DVec3::ZERO, 0.0);
     for (rbf, outgoing) in rbfs {
         let (radius, weight) = (f64::from(rbf.radius), f64::from(rbf.weight));
@@ -70,7 +75,7 @@ fn interpolate<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>
         sum += phi * (outgoing.mean + outgoing.gradient * delta);
         total += phi;
     }
-    if total > 0.0 { (sum / total).max(DVec3::ZERO) } else { DVec3::ZERO }
+    if total > 0.0 { sum / total } else { DVec3::ZERO }
 }
 
 #[cfg(test)]
