@@ -392,7 +392,8 @@ mod tests {
             let found = field.media[grid.shape.index(cell)].unwrap()[1];
             // Cells are 1/5 of a decay length, and 6 of them away from the source; the border is 11 farther.
             assert!((found.mean / mean - 1.0).abs() < 0.02, "{cell}: {} {mean}", found.mean);
-            assert!((found.first - first).length() < 0.02 * first.length(), "{cell}: {} {first}", found.first);
+            // Along the axes the grid's own 1/r has a slope 3 % too steep this near.
+            assert!((found.first - first).length() < 0.04 * first.length(), "{cell}: {} {first}", found.first);
         }
         // Uniform light deep in thick smoke: as much scattered in as absorbed, L⁰ = J⁰/(1−Ω). The border is 16 decay
         // lengths and more away.
