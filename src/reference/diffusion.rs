@@ -9,7 +9,7 @@
 //! positive definite, and is solved by conjugate gradients with its diagonal as preconditioner.
 //!
 //! Smoke is thin, and has no surface: towards its rim κ grows without bounds, and the rim conducts light away that in
-//! truth spreads out. So κ = 1/(3(σ_tr D + 1/ℓ)), as if nothing flew farther than ℓ undisturbed: see
+//! truth spreads out. So κ = 1/(3(1 − Ωg)(σ_t D + 1/ℓ)), as if nothing flew farther than ℓ undisturbed: see
 //! [`Settings::free_path`].
 
 use glam::{DVec3, IVec3, UVec3};
@@ -36,8 +36,15 @@ pub const EMPTY: f64 = 1e-3;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// ℓ, the longest free path in bundle units, above 0; infinite for the bare equation.
+    ///
+    /// A fit, not physics. In images of the reference scenes (one frame of a plume and smoke.vdb) an infinite ℓ leaves
+    /// errors of 3 to 26 %, 0.1 of 1 to 5 %, 0.125 of 1 to 6 % and 0.15 of 1 to 8 %; in thick smoke the best is shorter,
+    /// in thin smoke longer. Flux limiters, which have no such number, leave 7 to 8 % where 0.125 leaves 1 %. Against
+    /// paths through other smoke, 0.125 leaves up to 8 % (other frames; random balls, columns and slabs of Gaussians),
+    /// and 13 to 27 % in a dense puff an eighth of the box wide.
     pub free_path: f64,
-    /// Most steps of conjugate gradients.
+    /// Most steps of conjugate gradients. From black, 20 leave 0.2 to 0.6 % of L⁰ and 10 leave 3 to 7 %; from the
+    /// solution under light turned by 5°, 2 leave 0.1 to 0.7 %.
     pub steps: usize,
     /// They end where the residual has fallen to this share of the right-hand side.
     pub tolerance: f64,
@@ -45,7 +52,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { free_path: 0.1, steps: 200, tolerance: 1e-3 }
+        Self { free_path: 0.125, steps: 40, tolerance: 1e-3 }
     }
 }
 
@@ -72,9 +79,9 @@ pub fn cell_source(rbfs: &[Rbf], probes: &[[ShRgb; 4]], shape: GridShape) -> Vec
         .map(|index| {
             let cell = shape.cell(index);
             let mut sh = ShRgb::default();
-            for k in 0..4 {
+            for (k, coefficient) in sh.0.iter_mut().enumerate().take(4) {
                 let list = bins.at(cell).iter().map(|&l| (&rbfs[l as usize], &fits[l as usize][k]));
-                sh.0[k] = blend(super::center(shape, cell), list);
+                *coefficient = blend(super::center(shape, cell), list);
             }
             core::array::from_fn(|channel| Taylor::of(&sh, channel))
         })
@@ -108,7 +115,7 @@ impl Operator {
             .map(|extinction| if extinction * side > EMPTY { extinction } else { 0.0 })
             .collect();
         // κ of the mean extinction is the harmonic mean of both κ.
-        let kappa_of = |extinction: f64| 1.0 / (3.0 * ((1.0 - albedo * medium.g) * extinction + 1.0 / free_path));
+        let kappa_of = |extinction: f64| 1.0 / (3.0 * (1.0 - albedo * medium.g) * (extinction + 1.0 / free_path));
         let kappa: Vec<f64> = extinction.iter().map(|&extinction| kappa_of(extinction)).collect();
         let faces = core::array::from_fn(|axis| {
             let face = |index| match neighbour(shape, index, axis, true) {
@@ -372,8 +379,7 @@ mod tests {
         // One bright cell: L⁰ = P e^{−kr} / 4πκr with k² = σ_a/κ and P = σ_t J⁰ h³, and L¹ = −3κ ∇L⁰.
         let grid = grid([33, 33, 33], |_| 1.0);
         let medium = Medium { sigma: 30.0, albedo: DVec3::splat(0.98), g: 0.5 };
-        let transport = 30.0 * (1.0 - 0.98 * 0.5);
-        let kappa = 1.0 / (3.0 * (transport + 10.0));
+        let kappa = 1.0 / (3.0 * (1.0 - 0.98 * 0.5) * (30.0 + 10.0));
         let k = f64::sqrt(0.6 / kappa);
         let mut source = vec![[Taylor::default(); 3]; grid.shape.len()];
         source[grid.shape.index(UVec3::splat(16))] = [Taylor { mean: 1.0, first: DVec3::ZERO }; 3];
@@ -390,8 +396,9 @@ mod tests {
             let slope = DVec3::AXES.map(|axis| (mean_at(offset + axis * h) - mean_at(offset - axis * h)) / (2.0 * h));
             let first = -3.0 * kappa * DVec3::from(slope);
             let found = field.media[grid.shape.index(cell)].unwrap()[1];
-            // Cells are 1/5 of a decay length, and 6 of them away from the source; the border is 11 farther.
-            assert!((found.mean / mean - 1.0).abs() < 0.02, "{cell}: {} {mean}", found.mean);
+            // Cells are 1/5 of a decay length, and 6 of them away from the source; the border, two decay lengths farther,
+            // leaks 2 %.
+            assert!((found.mean / mean - 1.0).abs() < 0.03, "{cell}: {} {mean}", found.mean);
             // Along the axes the grid's own 1/r has a slope 3 % too steep this near.
             assert!((found.first - first).length() < 0.04 * first.length(), "{cell}: {} {first}", found.first);
         }
@@ -507,11 +514,11 @@ mod tests {
         // J_ms,k = Ω g^l L_k.
         let rbf = Rbf { center: [0.2, 0.0, 0.1], radius: 0.01, weight: 1.0 };
         let scattered = field.scatter(&[rbf], &MEDIUM)[0][1];
-        for channel in 0..3 {
+        for (channel, uniform) in uniform.into_iter().enumerate() {
             let found = Taylor::of(&scattered, channel);
             let albedo = MEDIUM.albedo[channel];
-            assert!((found.mean - albedo * uniform[channel].mean).abs() < 1e-13);
-            assert!((found.first - uniform[channel].first * (0.4 * albedo)).length() < 1e-13);
+            assert!((found.mean - albedo * uniform.mean).abs() < 1e-13);
+            assert!((found.first - uniform.first * (0.4 * albedo)).length() < 1e-13);
         }
     }
 }

@@ -86,7 +86,7 @@ mod tests {
     #[test]
     fn the_volume_holds_equation_15() {
         let shape = GridShape::new(UVec3::new(24, 20, 16));
-        let residual = |cell: UVec3| if cell.x % 2 == 0 { 0.05 } else { -0.01 };
+        let residual = |cell: UVec3| if cell.x.is_multiple_of(2) { 0.05 } else { -0.01 };
         let density = density(&rbfs(), residual, shape);
         let j = [DVec3::new(1.0, 2.0, 3.0), DVec3::new(0.5, 0.1, 0.0)];
         let volume = volume(&rbfs(), &j, &density);
