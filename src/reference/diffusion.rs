@@ -12,7 +12,7 @@
 //! truth spreads out. So κ = 1/(3(1 − Ωg)(σ_t D + 1/ℓ)), as if nothing flew farther than ℓ undisturbed: see
 //! [`Settings::free_path`].
 
-use glam::{DVec3, IVec3, UVec3};
+use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use super::{
@@ -304,6 +304,8 @@ impl Field {
 
 #[cfg(test)]
 mod tests {
+    use glam::UVec3;
+
     use super::*;
     use crate::reference::{
         center, rbf_center,

@@ -17,7 +17,7 @@ use core::ops::{Add, Mul};
 
 use glam::{DMat3, DVec3};
 
-pub use exponential::{Exponential, OptimalLinear};
+pub use exponential::{Exponential, HALVINGS, NORM_STEP, NORMS, OptimalLinear, by_quadrature, scaling_and_squaring};
 pub use product::{Gaunt, gaunt};
 pub use quadrature::{SphereRule, fibonacci};
 pub use zonal::{CLAMPED_COSINE, henyey_greenstein_factors, zonal_factors, zonal_factors_between};
