@@ -41,7 +41,7 @@ pub struct Settings {
     /// errors of 3 to 26 %, 0.1 of 1 to 5 %, 0.125 of 1 to 6 % and 0.15 of 1 to 8 %; in thick smoke the best is shorter,
     /// in thin smoke longer. Flux limiters, which have no such number, leave 7 to 8 % where 0.125 leaves 1 %. Against
     /// paths through other smoke, 0.125 leaves up to 8 % (other frames; random balls, columns and slabs of Gaussians),
-    /// and 13 to 27 % in a dense puff an eighth of the box wide.
+    /// and 13 to 27 % in a dense puff a quarter of the box wide.
     pub free_path: f64,
     /// Most steps of conjugate gradients. From black, 20 leave 0.2 to 0.6 % of L⁰ and 10 leave 3 to 7 %; from the
     /// solution under light turned by 5°, 2 leave 0.1 to 0.7 %.
