@@ -22,6 +22,7 @@ use crate::headless::{Headless, HeadlessError};
 use crate::lighting::magnitude;
 use crate::prelude::*;
 use crate::render::SmokeRenderStats;
+use crate::scattering::ScatteringChoice;
 
 /// Arguments of `smoke render`.
 #[derive(Args, Debug)]
@@ -83,7 +84,7 @@ enum Scattering {
     Auto,
     /// Exactly one scattering event
     Single,
-    /// Any number of scattering events (not available yet)
+    /// Any number of scattering events
     Multiple,
 }
 
@@ -109,6 +110,8 @@ struct Stats {
     backend: String,
     method: Choice<Method>,
     scattering: Choice<Scattering>,
+    /// What the solver of multiple scattering did last; null without one.
+    solver: Option<SolverStats>,
     size: [u32; 2],
     spp: u32,
     cells: [u32; 3],
@@ -125,7 +128,16 @@ struct Stats {
 struct Choice<T> {
     asked: T,
     used: T,
-    why: &'static str,
+    why: String,
+}
+
+#[derive(Serialize)]
+struct SolverStats {
+    converged: bool,
+    /// Sweeps over all pairs of RBFs, without the last.
+    sweeps: u32,
+    /// Estimated relative error.
+    error: f32,
 }
 
 #[derive(Serialize)]
@@ -141,7 +153,7 @@ struct PassStats {
 
 /// Runs the command.
 pub fn run(args: RenderArgs) -> anyhow::Result<()> {
-    let (method, scattering) = choose(&args)?;
+    let method = choose_method(&args)?;
     let kind = PictureKind::of(&args.output)?;
     let (scene, warnings) = Scene::read(&args.scene)?;
     for warning in warnings {
@@ -171,7 +183,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
     let rbfs = animation.frames[args.frame as usize].rbfs.rbfs.len();
     let cells = animation.shape.dims.to_array();
     let mut headless = Headless::new(drawn.into(), TextureFormat::Rgba16Float)?;
-    let unit = spawn_scene(&mut headless, &scene, animation, args.frame)?;
+    let (volume, unit) = spawn_scene(&mut headless, &scene, animation, &args)?;
 
     // The first frame is the one in which the smoke appears.
     let mut counts = vec![[0; SmokeRenderStats::PASSES.len()]];
@@ -202,13 +214,20 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
         for _ in 0..4 {
             headless.app.update();
         }
+        let solver = headless.solver_reports().first().map(|report| SolverStats {
+            converged: report.converged,
+            sweeps: report.sweeps,
+            error: report.error,
+        });
         let world = headless.app.world();
+        let choice = world.resource::<SmokeRenderStats>().scattering(volume);
         let adapter = world.resource::<RenderAdapterInfo>();
         let stats = Stats {
             adapter: adapter.name.clone(),
             backend: adapter.backend.to_string(),
             method,
-            scattering,
+            scattering: chosen_scattering(args.scattering, choice),
+            solver,
             size,
             spp: args.spp,
             cells,
@@ -244,24 +263,27 @@ fn average(fine: &[[f32; 4]], [width, height]: [u32; 2], rays: u32, unit: f32) -
     pixels
 }
 
-/// What to do, of what was asked for.
-fn choose(args: &RenderArgs) -> anyhow::Result<(Choice<Method>, Choice<Scattering>)> {
-    let method = match args.method {
-        Method::Auto => Choice { asked: Method::Auto, used: Method::Rbf, why: "the input is a bundle" },
-        Method::Rbf => Choice { asked: Method::Rbf, used: Method::Rbf, why: "asked for" },
+/// The method to use, of what was asked for.
+fn choose_method(args: &RenderArgs) -> anyhow::Result<Choice<Method>> {
+    Ok(match args.method {
+        Method::Auto => Choice { asked: Method::Auto, used: Method::Rbf, why: "the input is a bundle".into() },
+        Method::Rbf => Choice { asked: Method::Rbf, used: Method::Rbf, why: "asked for".into() },
         other => {
             let name = other.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default();
             bail!("--method {name} is not available yet: use rbf")
         }
-    };
-    let scattering = match args.scattering {
-        Scattering::Auto => {
-            Choice { asked: Scattering::Auto, used: Scattering::Single, why: "single scattering is what is available" }
+    })
+}
+
+/// What the plug-in came to.
+fn chosen_scattering(asked: Scattering, choice: Option<ScatteringChoice>) -> Choice<Scattering> {
+    match choice {
+        Some(choice) => {
+            let used = if choice.multiple { Scattering::Multiple } else { Scattering::Single };
+            Choice { asked, used, why: choice.to_string() }
         }
-        Scattering::Single => Choice { asked: Scattering::Single, used: Scattering::Single, why: "asked for" },
-        Scattering::Multiple => bail!("--scattering multiple is not available yet: use single"),
-    };
-    Ok((method, scattering))
+        None => Choice { asked, used: asked, why: "no smoke was drawn".into() },
+    }
 }
 
 fn read_bundle(path: &Path) -> anyhow::Result<SmokeAnimation> {
@@ -272,8 +294,13 @@ fn read_bundle(path: &Path) -> anyhow::Result<SmokeAnimation> {
 }
 
 /// Spawns the volume and a camera that shows radiance as it is: exposure 1, no tone mapping, no dithering. Returns the
-/// radiance that 1 in the picture stands for: the picture is f16, the light may be in any unit.
-fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation, frame: u32) -> anyhow::Result<f32> {
+/// volume and the radiance that 1 in the picture stands for: the picture is f16, the light may be in any unit.
+fn spawn_scene(
+    headless: &mut Headless,
+    scene: &Scene,
+    animation: SmokeAnimation,
+    args: &RenderArgs,
+) -> anyhow::Result<(Entity, f32)> {
     let transform = match scene.placement {
         ScenePlacement::File => {
             let placement = animation.placement;
@@ -296,8 +323,14 @@ fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation
     };
     let animation = world.resource_mut::<Assets<SmokeAnimation>>().add(animation);
     let albedo = scene.albedo.as_vec3();
-    world.spawn((
-        SmokeVolume { animation, frame },
+    let events = match args.scattering {
+        Scattering::Auto => ScatteringEvents::Auto,
+        Scattering::Single => ScatteringEvents::Single,
+        Scattering::Multiple => ScatteringEvents::Multiple,
+    };
+    let volume = world.spawn((
+        SmokeVolume { animation, frame: args.frame },
+        SmokeScattering { events, ..default() },
         SmokeMedium {
             sigma_t: scene.sigma_t as f32,
             albedo: LinearRgba::rgb(albedo.x, albedo.y, albedo.z),
@@ -306,6 +339,7 @@ fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation
         environment,
         transform,
     ));
+    let volume = volume.id();
 
     let camera = &scene.camera;
     let projection = PerspectiveProjection { fov: camera.fov_y_deg.to_radians() as f32, near: 1e-3, ..default() };
@@ -323,7 +357,7 @@ fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation
         Projection::Perspective(projection),
         Transform::from_translation(camera.eye.as_vec3()).looking_at(camera.target.as_vec3(), Vec3::Y),
     ));
-    Ok(unit)
+    Ok((volume, unit))
 }
 
 /// A latitude-longitude image, HDR or EXR, as linear floats.
