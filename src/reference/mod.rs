@@ -15,6 +15,7 @@ pub mod outgoing;
 pub mod path;
 pub mod single;
 pub mod source_radiance;
+pub mod transport;
 pub mod view;
 pub mod volume;
 
