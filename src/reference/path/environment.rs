@@ -39,10 +39,10 @@ pub struct EquirectImage {
 }
 
 impl EquirectImage {
-    /// An image of rows of `width` texels from the top: linear radiance, finite and at least 0; not empty.
+    /// An image of rows of `width` texels from the top: linear radiance, finite; not empty.
     pub fn new(width: usize, texels: Vec<Vec3>) -> Self {
         let size = [width, texels.len() / width];
-        let luminance = |t: Vec3| f64::from(t.dot(Vec3::new(0.2126, 0.7152, 0.0722)));
+        let luminance = |t: Vec3| f64::from(t.dot(Vec3::new(0.2126, 0.7152, 0.0722)).max(0.0));
         let mut image = Self { size, texels, density: Vec::new(), cumulative: Vec::new() };
         // The mean of the interpolated luminance over a texel: six eighths are its own, an eighth either neighbour's.
         let mean = |index: usize| {

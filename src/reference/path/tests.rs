@@ -219,7 +219,7 @@ fn lamps_give_the_airlight_integral() {
         });
         let found = mean(40_000, |rng| trace(&scene, &ray, Events::Single, rng));
         assert_mean(found, expected, 1e-4);
-        assert!((found.1 / expected).max_element() < 0.02, "{found:?}");
+        assert!((found.1 / expected).max_element() < 0.03, "{found:?}");
     }
     // Thin smoke has a closed form: I Ω σ/(4π) times the angle that the ray spans at the lamp, over its height. The
     // optical depths are at most 0.01.
@@ -240,21 +240,20 @@ fn a_lamps_light_all_leaves_white_smoke() {
     // is counted along lines in all directions through discs that cover the box: ∫ L dA dω.
     let grid = blob();
     let intensity = DVec3::splat(2.0);
-    let lights = [Light::Point { position: DVec3::new(0.12, -0.04, 0.02), intensity }];
+    let position = DVec3::new(0.12, -0.04, 0.02);
+    let lights = [Light::Point { position, intensity }];
     let medium = Medium { sigma: 8.0, albedo: DVec3::ONE, g: 0.5 };
     let scene = Scene::new(&grid, medium, NIGHT, &lights);
-    let unscattered = SphereRule::new(24)
-        .integrate(|w| exact_transmittance(&grid, medium.sigma, &Ray::new(DVec3::new(0.12, -0.04, 0.02), w)));
+    let unscattered =
+        SphereRule::new(24).integrate(|w| exact_transmittance(&grid, medium.sigma, &Ray::new(position, w)));
     let expected = intensity * (4.0 * PI - unscattered);
-    // Lines through a disc of radius R around the box, in all directions: ∫ L dA dω.
-    let radius: f64 = 0.7;
+    // Discs about the lamp, with radii drawn evenly and not areas: radiance goes with one over the radius.
+    let radius = 0.9;
     let found = mean(60_000, |rng| {
-        let (z, phi) = (2.0 * rng.uniform() - 1.0, 2.0 * PI * rng.uniform());
-        let dir = DVec3::new(phi.cos() * (1.0 - z * z).sqrt(), phi.sin() * (1.0 - z * z).sqrt(), z);
-        let (across, up) = dir.any_orthonormal_pair();
-        let (r, psi) = (radius * rng.uniform().sqrt(), 2.0 * PI * rng.uniform());
-        let origin = (across * psi.cos() + up * psi.sin()) * r - dir * 2.0;
-        trace(&scene, &Ray::new(origin, dir), Events::All, rng) * (4.0 * PI * PI * radius * radius)
+        let dir = turned(DVec3::Z, 2.0 * rng.uniform() - 1.0, rng);
+        let r = radius * rng.uniform();
+        let origin = position + turned(dir, 0.0, rng) * r - dir * 2.0;
+        trace(&scene, &Ray::new(origin, dir), Events::All, rng) * (4.0 * PI * 2.0 * PI * radius * r)
     });
     assert_mean(found, expected, 1e-3);
     assert!((found.1 / expected).max_element() < 0.03, "{found:?}");
@@ -341,7 +340,7 @@ fn spots_fall_off_as_bevys_do() {
     assert!(at(0.4999) > 0.0 && at(0.4999) < 1e-5);
     assert_eq!((at(0.5001), at(3.0)), (0.0, 0.0));
     // A hard edge rises within 1e-4 of the cosine.
-    assert_eq!(spot_falloff(0.4f64.cos() + 1e-4, 0.4, 0.4), 1.0);
+    assert!((spot_falloff(0.4f64.cos() + 1e-4, 0.4, 0.4) - 1.0).abs() < 1e-9);
     assert_eq!(spot_falloff(0.4f64.cos() - 1e-9, 0.4, 0.4), 0.0);
 }
 
