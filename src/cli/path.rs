@@ -38,9 +38,10 @@ impl PathArgs {
         let half = |suffix| {
             let mut name = output.file_stem().unwrap_or_default().to_owned();
             name.push(suffix);
-            output.with_file_name(name).with_extension(output.extension().unwrap_or_default())
+            name.push(output.extension().unwrap_or_default());
+            output.with_file_name(name)
         };
-        self.halves.then(|| ["_a", "_b"].map(half))
+        self.halves.then(|| ["_a.", "_b."].map(half))
     }
 }
 
@@ -278,6 +279,14 @@ mod tests {
             assert!(message.contains(expected), "{line}: {message}");
         }
         assert!(!dir.path().join("out.exr").exists());
+    }
+
+    #[test]
+    fn halves_are_named_after_the_picture() {
+        let args = PathArgs { halves: true, seed: None };
+        let expected = Some(["out/plume.v2_a.exr", "out/plume.v2_b.exr"].map(PathBuf::from));
+        assert_eq!(args.half_paths(Path::new("out/plume.v2.exr")), expected);
+        assert_eq!(PathArgs { halves: false, seed: None }.half_paths(Path::new("out.exr")), None);
     }
 
     #[test]
