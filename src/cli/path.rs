@@ -15,6 +15,9 @@ use crate::density::{self, GridShape, Placement};
 use crate::reference::path::{self, EquirectImage, Events, Light, alpha};
 use crate::reference::{Grid, Medium, Ray};
 
+/// Optical depth over the box's longest side that is traced at most: in white smoke paths scatter about that often.
+const MAX_DEPTH: f64 = 1e5;
+
 /// Options of `smoke render` that only this method has.
 #[derive(Args, Debug)]
 pub struct PathArgs {
@@ -78,6 +81,13 @@ pub(super) fn run(job: &Job) -> anyhow::Result<()> {
     let lobes = |w| scene.environment.radiance(w).unwrap_or_default();
     let environment = image.as_ref().map_or(path::Environment::Function(&lobes), path::Environment::Image);
     let lights: Vec<Light> = scene.lights.iter().map(|light| in_bundle_space(light, center, side)).collect();
+    let deepest = scene.sigma_t * side * density.values.iter().copied().fold(0.0, f64::max);
+    ensure!(
+        deepest <= MAX_DEPTH,
+        "sigma_t {}: the densest smoke has an optical depth of {deepest:.1e} over the box's length, where paths do not \
+         end; {MAX_DEPTH:.0e} is the most that can be traced",
+        scene.sigma_t
+    );
     let medium = Medium { sigma: scene.sigma_t * side, albedo: scene.albedo, g: scene.g };
     let smoke = path::Scene::new(&density, medium, environment, &lights);
     let eye = (scene.camera.eye - center) / side;
@@ -278,6 +288,9 @@ mod tests {
             let message = format!("{:#}", render(dir.path(), line).unwrap_err());
             assert!(message.contains(expected), "{line}: {message}");
         }
+        std::fs::write(dir.path().join("scene.json"), SCENE.replace("\"sigma_t\": 4", "\"sigma_t\": 1e40")).unwrap();
+        let message = render(dir.path(), "blob.npy -o out.exr --method path").unwrap_err().to_string();
+        assert!(message.starts_with("sigma_t 1"), "{message}");
         assert!(!dir.path().join("out.exr").exists());
     }
 
