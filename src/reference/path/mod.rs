@@ -6,8 +6,9 @@
 //!
 //! Every scattering event looks for sharp lights, and for the bright parts of an image environment (next-event
 //! estimation); an image is also met where a path leaves the box, and the two are combined by multiple importance
-//! sampling (Veach and Guibas 1995, balance heuristic). Within [`NEAR`] of a lamp, where 1/d² has no bounds, events are
-//! not waited for but placed along the path as the lamp sees it (equi-angular sampling, Kulla and Fajardo 2012).
+//! sampling (Veach and Guibas 1995, balance heuristic). Near a lamp, where 1/d² has no bounds, events are not waited
+//! for but placed along the path as the lamp sees it (equi-angular sampling, Kulla and Fajardo 2012); light that first
+//! scatters there and then again keeps a few bright specks.
 //!
 //! Error estimates that discount noise need two independent halves: two [`render`]s with different seeds.
 
