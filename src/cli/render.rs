@@ -304,7 +304,7 @@ fn choose(args: &RenderArgs) -> anyhow::Result<(Choice<Method>, Choice<Scatterin
     };
     let traced = method.used == Method::Path;
     let (used, why) = match args.scattering {
-        Scattering::Auto if traced => (Scattering::Multiple, "it costs a path tracer little more"),
+        Scattering::Auto if traced => (Scattering::Multiple, "a path tracer needs to leave nothing out"),
         Scattering::Auto => (Scattering::Single, "single scattering is what is available"),
         Scattering::Multiple if !traced => bail!("--scattering multiple is not available yet: use single, or path"),
         asked => (asked, "asked for"),
