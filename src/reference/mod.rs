@@ -5,7 +5,7 @@
 //! is extinction per bundle unit, σ_t times the world length of the box's longest side.
 //!
 //! Beside the passes: [`single`], single scattering without any of the method's approximations, [`path`], a path tracer
-//! for any number of scattering events, and [`compare`], the error of an image.
+//! for any number of scattering events and any light, and [`compare`], the error of an image.
 
 pub mod coarse;
 pub mod compare;
