@@ -23,7 +23,7 @@ use crate::bundle::{self, SmokeAnimation};
 use crate::headless::{Headless, HeadlessError};
 use crate::lighting::magnitude;
 use crate::prelude::*;
-use crate::render::SmokeRenderStats;
+use crate::render::{PROBES, SmokeRenderStats};
 use crate::scattering::ScatteringChoice;
 
 /// Arguments of `smoke render`.
@@ -277,7 +277,7 @@ fn draw(job: Job) -> anyhow::Result<()> {
             spp,
             cells,
             rbfs,
-            probes: 4 * rbfs,
+            probes: PROBES as usize * rbfs,
             frames: args.frames,
             steady_frame_ms: median(frame_ms),
             passes: pass_stats(&counts, world.resource()),

@@ -1,4 +1,4 @@
-//! Incident-light pass: environment, lamps and coarse density → light that reaches every RBF's tetrahedral probes straight
+//! Incident-light pass: environment, lamps and coarse density → light that reaches every RBF's probes straight
 //! from the environment, as spherical harmonics, the share of it that does not get through, and density columns to the
 //! lamps. Runs when light, medium or density changed.
 
@@ -21,11 +21,13 @@ use super::{SmokePasses, SmokeRenderStats, SmokeWork};
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_incident_light";
 
-/// Probes around an RBF: the corners of a tetrahedron.
-pub(super) const PROBES: u32 = 4;
+/// Probes around an RBF; as in `lighting.wgsl`.
+pub(crate) const PROBES: u32 = 7;
 
 /// Bytes an RBF's probes take: 16 coefficients each.
 pub(super) const PROBE_BYTES: u64 = PROBES as u64 * 16 * 16;
+/// Bytes an RBF's probes take for the share of light that gets through.
+pub(super) const ESCAPE_BYTES: u64 = PROBES as u64 * 16;
 /// Bytes an RBF's columns to the lamps take.
 pub(super) const COLUMN_BYTES: u64 = PROBES as u64 * MAX_LAMPS as u64 * 4;
 
@@ -41,6 +43,7 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
             sampler(SamplerBindingType::Filtering),
             storage_buffer_sized(false, None),
             storage_buffer_sized(false, None),
+            storage_buffer_sized(false, None),
         ),
     );
     ComputePass::new(LABEL, &entries, shader, "gather", vec![], cache)
@@ -53,6 +56,7 @@ pub(super) struct Bindings<'a> {
     pub environment: &'a Buffer,
     pub sampler: &'a Sampler,
     pub probes: &'a Buffer,
+    pub escapes: &'a Buffer,
     pub columns: &'a Buffer,
 }
 
@@ -68,6 +72,7 @@ pub(super) fn bind(pass: &ComputePass, b: Bindings, device: &RenderDevice, cache
             &b.frame.coarse,
             b.sampler,
             b.probes.as_entire_binding(),
+            b.escapes.as_entire_binding(),
             b.columns.as_entire_binding(),
         ),
     )

@@ -13,9 +13,10 @@ use bevy::render::renderer::RenderDevice;
 use bevy::render::view::RetainedViewEntity;
 
 use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, texture_3d};
-use super::incident_light::{COLUMN_BYTES, PROBE_BYTES};
+use super::incident_light::{COLUMN_BYTES, ESCAPE_BYTES, PROBE_BYTES};
 use super::lighting::LightingUniform;
 use super::outgoing::{LookUniform, OUTGOING_BYTES, SHADE_BYTES};
+use super::pair_matrix::ROW_BYTES;
 use super::pass::Job;
 use super::prepare::Gpu;
 use super::scattering::{self, CONTROL_BYTES, SOURCE_BYTES, STATE_BYTES, SWEEPS, ScatteringJob, StepUniform};
@@ -32,15 +33,22 @@ pub(super) struct LitVolume {
     environment: BufferId,
     environment_version: u32,
     uniform: Cached<LightingUniform>,
-    probes: Buffer,
-    columns: Buffer,
-    gathered: Buffer,
+    light: LightBuffers,
     incident_light: BindGroup,
     transport: Option<Transport>,
     /// Counts the changes.
     version: u32,
     pub last_used: u32,
     pub sliced: HashMap<Option<RetainedViewEntity>, SlicedVolume>,
+}
+
+/// The light at the probes, and what the RBFs see of each other.
+struct LightBuffers {
+    probes: Buffer,
+    escapes: Buffer,
+    columns: Buffer,
+    gathered: Buffer,
+    rows: Buffer,
 }
 
 /// What light that scatters more than once takes.
@@ -114,16 +122,22 @@ pub(super) struct FrameLight<'a> {
 impl LitVolume {
     pub fn new(frame: &GpuSmokeFrame, light: &FrameLight, gpu: &Gpu) -> Self {
         let buffer = |label, bytes| storage_buffer(gpu.device, label, u64::from(frame.rbf_count.max(1)) * bytes);
-        let probes = buffer("smoke_probes", PROBE_BYTES);
-        let columns = buffer("smoke_lamp_columns", COLUMN_BYTES);
+        let buffers = LightBuffers {
+            probes: buffer("smoke_probes", PROBE_BYTES),
+            escapes: buffer("smoke_escapes", ESCAPE_BYTES),
+            columns: buffer("smoke_lamp_columns", COLUMN_BYTES),
+            gathered: buffer("smoke_gathered", 16 * 16),
+            rows: buffer("smoke_pair_rows", ROW_BYTES),
+        };
         let uniform = Cached::new(light.uniform.clone(), gpu);
         let bindings = incident_light::Bindings {
             frame,
             lighting: uniform.buffer(),
             environment: light.coefficients,
             sampler: gpu.sampler,
-            probes: &probes,
-            columns: &columns,
+            probes: &buffers.probes,
+            escapes: &buffers.escapes,
+            columns: &buffers.columns,
         };
         Self {
             incident_light: incident_light::bind(&gpu.passes.incident_light, bindings, gpu.device, gpu.cache),
@@ -133,9 +147,7 @@ impl LitVolume {
             // Older than any environment: lit at the first look.
             environment_version: 0,
             uniform,
-            probes,
-            columns,
-            gathered: buffer("smoke_gathered", 16 * 16),
+            light: buffers,
             transport: None,
             version: 0,
             last_used: 0,
@@ -157,9 +169,8 @@ impl LitVolume {
         if coefficients == 0 {
             self.transport = None;
         } else {
-            let transport = self.transport.get_or_insert_with(|| {
-                Transport::new(frame, &self.uniform, &self.probes, &self.columns, &self.gathered, gpu)
-            });
+            let transport =
+                self.transport.get_or_insert_with(|| Transport::new(frame, &self.uniform, &self.light, gpu));
             for (step, value) in transport.steps.iter_mut().zip(StepUniform::all(light.tolerance)) {
                 changed |= step.set(value, gpu);
             }
@@ -220,14 +231,7 @@ impl LitVolume {
 }
 
 impl Transport {
-    fn new(
-        frame: &GpuSmokeFrame,
-        lighting: &Cached<LightingUniform>,
-        probes: &Buffer,
-        columns: &Buffer,
-        gathered: &Buffer,
-        gpu: &Gpu,
-    ) -> Self {
+    fn new(frame: &GpuSmokeFrame, lighting: &Cached<LightingUniform>, light: &LightBuffers, gpu: &Gpu) -> Self {
         let count = u64::from(frame.rbf_count.max(1));
         let buffer = |label, bytes| storage_buffer(gpu.device, label, bytes);
         let matrix = buffer("smoke_pair_matrix", 4 * count * count);
@@ -241,12 +245,14 @@ impl Transport {
             lighting: lighting.buffer(),
             footprints: gpu.footprints,
             steps: &step_buffers,
-            probes,
-            columns,
+            probes: &light.probes,
+            escapes: &light.escapes,
+            columns: &light.columns,
             matrix: &matrix,
+            rows: &light.rows,
             sources: &sources,
             states: &states,
-            gathered,
+            gathered: &light.gathered,
             control: &control,
         };
         let relate = pair_matrix::Bindings {
@@ -255,6 +261,7 @@ impl Transport {
             footprints: gpu.footprints,
             sampler: gpu.sampler,
             matrix: &matrix,
+            rows: &light.rows,
         };
         Self {
             pair_matrix: pair_matrix::bind(&gpu.passes.pair_matrix, relate, gpu.device, gpu.cache),
@@ -277,9 +284,11 @@ impl SlicedVolume {
             frame,
             lighting: lit.uniform.buffer(),
             look: look.buffer(),
-            probes: &lit.probes,
-            gathered: &lit.gathered,
-            columns: &lit.columns,
+            probes: &lit.light.probes,
+            escapes: &lit.light.escapes,
+            gathered: &lit.light.gathered,
+            rows: &lit.light.rows,
+            columns: &lit.light.columns,
             outgoing: &outgoing,
             shades: &shades,
         };

@@ -4,11 +4,11 @@
 //! |---|---|---|---|
 //! | `environment` | a radiance image | 16 SH coefficients | environment |
 //! | `density` | RBFs, bins, hashed residual | density of every cell | frame of smoke |
-//! | `coarse` | density | density of a 32³ grid | frame of smoke |
+//! | `coarse` | density | density of a 64³ grid | frame of smoke |
 //! | `pair_matrix` | RBFs, coarse density | how much each RBF sees of each other | frame of smoke and extinction |
-//! | `incident_light` | coefficients, lamps, RBFs, coarse density | SH light and columns to the lamps at 4 probes an RBF | volume and light |
+//! | `incident_light` | coefficients, lamps, RBFs, coarse density | SH light and columns to the lamps at 7 probes an RBF | volume and light |
 //! | `scattering` | pair matrix, light at the probes | SH light that each RBF sees of the others | the same |
-//! | `outgoing` | light at the probes, scattered light | mean and gradient of the radiance toward the eye, an RBF | the same, × view if g ≠ 0 |
+//! | `outgoing` | light at the probes, scattered light | quadratic fit of the radiance toward the eye, an RBF | the same, × view if g ≠ 0 |
 //! | `volume` | those, lamps, RBFs, bins, density | 3D texture of source radiance and density | the same |
 //! | `view` | the 3D texture, the view's depth | the view's colours | view |
 //!
@@ -52,6 +52,8 @@ use bevy::render::{ExtractSchedule, GpuResourceAppExt, Render, RenderApp, Render
 
 use self::environment::{EnvironmentJob, EnvironmentPass};
 pub use self::frame::GpuSmokeAnimation;
+#[cfg(feature = "cli")]
+pub(crate) use self::incident_light::PROBES;
 use self::pass::{ComputePass, Job};
 pub use self::scattering::SolverReport;
 use self::scattering::{ScatteringJob, ScatteringPass};
@@ -200,7 +202,7 @@ fn check_device(device: &RenderDevice, adapter: &RenderAdapter) -> Result<(), &'
     let flags = adapter.get_downlevel_capabilities().flags;
     let needs = [
         (flags.contains(DownlevelFlags::COMPUTE_SHADERS), "compute shaders"),
-        (limits.max_storage_buffers_per_shader_stage >= 6, "6 storage buffers a shader"),
+        (limits.max_storage_buffers_per_shader_stage >= 8, "8 storage buffers a shader"),
         (limits.max_storage_textures_per_shader_stage >= 1, "storage textures"),
         (limits.max_compute_workgroup_storage_size >= 16_384, "16 KiB of memory a workgroup"),
         (limits.max_compute_invocations_per_workgroup >= 256, "256 threads a workgroup"),

@@ -1,4 +1,4 @@
-//! Outgoing pass: light at the probes, straight and scattered → radiance toward the eye, a mean and a gradient an RBF; the
+//! Outgoing pass: light at the probes, straight and scattered → radiance toward the eye, a quadratic fit an RBF; the
 //! columns to the lamps likewise. Runs when the light changed, and, where the phase function is not isotropic, when the eye moved relative to the smoke.
 
 use bevy::prelude::*;
@@ -19,10 +19,12 @@ use super::{SmokePasses, SmokeRenderStats, SmokeWork};
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_outgoing";
 
-/// Bytes an RBF takes in the pass's output: a mean and three derivatives, each padded to four floats.
-pub(super) const OUTGOING_BYTES: u64 = 4 * 16;
-/// Bytes an RBF takes in the fitted columns: two times four lamps, each a mean and three derivatives.
-pub(super) const SHADE_BYTES: u64 = 2 * 4 * 16;
+/// Bytes of the `Fit` of `lighting.wgsl`.
+const FIT_BYTES: u64 = 7 * 16;
+/// Bytes an RBF takes in the pass's output.
+pub(super) const OUTGOING_BYTES: u64 = FIT_BYTES;
+/// Bytes an RBF takes in the fitted columns: twice four lamps.
+pub(super) const SHADE_BYTES: u64 = 2 * FIT_BYTES;
 
 /// The `Look` of `outgoing.wgsl`.
 #[derive(ShaderType, Clone, Debug, PartialEq)]
@@ -42,6 +44,8 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
             storage_buffer_read_only_sized(false, None),
             storage_buffer_read_only_sized(false, None),
             storage_buffer_read_only_sized(false, None),
+            storage_buffer_read_only_sized(false, None),
+            storage_buffer_read_only_sized(false, None),
             storage_buffer_sized(false, None),
             storage_buffer_sized(false, None),
         ),
@@ -55,7 +59,9 @@ pub(super) struct Bindings<'a> {
     pub lighting: &'a Buffer,
     pub look: &'a Buffer,
     pub probes: &'a Buffer,
+    pub escapes: &'a Buffer,
     pub gathered: &'a Buffer,
+    pub rows: &'a Buffer,
     pub columns: &'a Buffer,
     pub outgoing: &'a Buffer,
     pub shades: &'a Buffer,
@@ -71,7 +77,9 @@ pub(super) fn bind(pass: &ComputePass, b: Bindings, device: &RenderDevice, cache
             b.look.as_entire_binding(),
             b.frame.rbfs.as_entire_binding(),
             b.probes.as_entire_binding(),
+            b.escapes.as_entire_binding(),
             b.gathered.as_entire_binding(),
+            b.rows.as_entire_binding(),
             b.columns.as_entire_binding(),
             b.outgoing.as_entire_binding(),
             b.shades.as_entire_binding(),

@@ -21,6 +21,9 @@ use super::{SmokePasses, SmokeRenderStats, SmokeWork};
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_pair_matrix";
 
+/// Bytes of what goes with a row.
+pub(super) const ROW_BYTES: u64 = 16 * 4;
+
 pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePass {
     let entries = BindGroupLayoutEntries::sequential(
         ShaderStages::COMPUTE,
@@ -31,6 +34,7 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
             storage_buffer_read_only_sized(false, None),
             texture_3d(TextureSampleType::Float { filterable: true }),
             sampler(SamplerBindingType::Filtering),
+            storage_buffer_sized(false, None),
             storage_buffer_sized(false, None),
         ),
     );
@@ -44,6 +48,7 @@ pub(super) struct Bindings<'a> {
     pub footprints: &'a Buffer,
     pub sampler: &'a Sampler,
     pub matrix: &'a Buffer,
+    pub rows: &'a Buffer,
 }
 
 pub(super) fn bind(pass: &ComputePass, b: Bindings, device: &RenderDevice, cache: &PipelineCache) -> BindGroup {
@@ -58,6 +63,7 @@ pub(super) fn bind(pass: &ComputePass, b: Bindings, device: &RenderDevice, cache
             &b.frame.coarse,
             b.sampler,
             b.matrix.as_entire_binding(),
+            b.rows.as_entire_binding(),
         ),
     )
 }

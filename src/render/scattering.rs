@@ -93,14 +93,17 @@ impl ScatteringPass {
         let step = || uniform_buffer::<StepUniform>(false);
         let start = BindGroupLayoutEntries::sequential(
             compute,
-            (frame(), lighting(), read(), read(), read(), write(), write(), write()),
+            (frame(), lighting(), read(), read(), read(), read(), read(), write(), write(), write()),
         );
         let footprints = uniform_buffer::<Footprints>(false);
         let sweep = BindGroupLayoutEntries::sequential(
             compute,
             (frame(), lighting(), footprints, step(), read(), read(), read(), write(), write(), read()),
         );
-        let extrapolate = BindGroupLayoutEntries::sequential(compute, (frame(), lighting(), step(), write(), write()));
+        let extrapolate = BindGroupLayoutEntries::sequential(
+            compute,
+            (frame(), lighting(), step(), read(), read(), read(), write(), write()),
+        );
         let pass = |label, entries: &[_], shader, entry_point| {
             ComputePass::new(label, entries, shader, entry_point, vec![], cache)
         };
@@ -120,13 +123,16 @@ impl ScatteringPass {
         let (frame, lighting) = (b.frame.uniform.as_entire_binding(), b.lighting.as_entire_binding());
         let rbfs = b.frame.rbfs.as_entire_binding();
         let (sources, states) = (b.sources.as_entire_binding(), b.states.as_entire_binding());
+        let (matrix, rows) = (b.matrix.as_entire_binding(), b.rows.as_entire_binding());
         let control = b.control.as_entire_binding();
         let start = (
             frame.clone(),
             lighting.clone(),
             rbfs.clone(),
             b.probes.as_entire_binding(),
+            b.escapes.as_entire_binding(),
             b.columns.as_entire_binding(),
+            rows.clone(),
             sources.clone(),
             states.clone(),
             control.clone(),
@@ -138,7 +144,7 @@ impl ScatteringPass {
                 b.footprints.as_entire_binding(),
                 step.as_entire_binding(),
                 rbfs.clone(),
-                b.matrix.as_entire_binding(),
+                matrix.clone(),
                 sources.clone(),
                 states.clone(),
                 b.gathered.as_entire_binding(),
@@ -148,7 +154,16 @@ impl ScatteringPass {
             self.sweep.bind(device, cache, bindings)
         };
         let step = b.steps[0].as_entire_binding();
-        let extrapolate = (frame.clone(), lighting.clone(), step, states.clone(), control.clone());
+        let extrapolate = (
+            frame.clone(),
+            lighting.clone(),
+            step,
+            matrix.clone(),
+            rows.clone(),
+            sources.clone(),
+            states.clone(),
+            control.clone(),
+        );
         BindGroups {
             start: self.start.bind(device, cache, start),
             sweeps: b.steps.each_ref().map(sweep),
@@ -178,8 +193,10 @@ pub(super) struct Bindings<'a> {
     pub footprints: &'a Buffer,
     pub steps: &'a [Buffer; SWEEPS as usize + 1],
     pub probes: &'a Buffer,
+    pub escapes: &'a Buffer,
     pub columns: &'a Buffer,
     pub matrix: &'a Buffer,
+    pub rows: &'a Buffer,
     pub sources: &'a Buffer,
     pub states: &'a Buffer,
     pub gathered: &'a Buffer,

@@ -3,11 +3,12 @@
 //     x = x_M + sum_j xi_j u_j,   xi = argmin |u_{M-1} + sum_j xi_j d_j|.
 // This is reduced-rank extrapolation (Eddy 1979), which gives what GMRES gives from the same start (Sidi 1988) and needs
 // no more than the sweeps. It finds in a few sweeps the slow modes of thick smoke that absorbs nothing, where sweeps alone
-// crawl. One workgroup; the channels are systems of their own.
+// crawl. The slowest of all, smoke that is as bright everywhere, is set right by the balance of energy: as much must leave
+// the smoke or be absorbed as comes in. One workgroup; the channels are systems of their own.
 #import bevy_smoke::frame::Frame
 #import bevy_smoke::sh::SH_COEFFICIENTS
 #import bevy_smoke::lighting::Lighting
-#import bevy_smoke::scattering::{Control, Step}
+#import bevy_smoke::scattering::{Control, Step, source_stride}
 
 // Sweeps between extrapolations; as in `render/scattering.rs`.
 const M: u32 = 5u;
@@ -24,8 +25,11 @@ const SOLUTION: u32 = 16u;
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<uniform> lighting: Lighting;
 @group(0) @binding(2) var<uniform> plan: Step;
-@group(0) @binding(3) var<storage, read_write> states: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> control: Control;
+@group(0) @binding(3) var<storage, read> matrix: array<f32>;
+@group(0) @binding(4) var<storage, read> rows: array<f32>;
+@group(0) @binding(5) var<storage, read> sources: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> states: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> control: Control;
 
 var<workgroup> partial: array<vec3<f32>, THREADS>;
 var<workgroup> totals: array<vec3<f32>, SUMS>;
@@ -94,6 +98,20 @@ fn solve(channel: u32) {
     errors[channel] = sqrt(left / scale) * rate / (1.0 - rate);
 }
 
+// The sum over all threads.
+fn add_up(value: vec3<f32>, thread: u32) -> vec3<f32> {
+    workgroupBarrier();
+    partial[thread] = value;
+    workgroupBarrier();
+    for (var half = THREADS / 2u; half > 0u; half /= 2u) {
+        if thread < half {
+            partial[thread] += partial[thread + half];
+        }
+        workgroupBarrier();
+    }
+    return partial[0];
+}
+
 @compute @workgroup_size(THREADS)
 fn extrapolate(@builtin(local_invocation_index) thread: u32) {
     if control.done != 0u {
@@ -122,39 +140,80 @@ fn extrapolate(@builtin(local_invocation_index) thread: u32) {
         sums[SOLUTION] += x * x;
     }
     for (var s = 0u; s < SUMS; s++) {
-        partial[thread] = sums[s];
-        workgroupBarrier();
-        for (var half = THREADS / 2u; half > 0u; half /= 2u) {
-            if thread < half {
-                partial[thread] += partial[thread + half];
-            }
-            workgroupBarrier();
-        }
+        let total = add_up(sums[s], thread);
         if thread == 0u {
-            totals[s] = partial[0];
+            totals[s] = total;
         }
-        workgroupBarrier();
     }
+    workgroupBarrier();
     if thread < 3u {
         solve(thread);
     }
     workgroupBarrier();
+    // The balance: what the combination gains too much, over what leaves or is absorbed for each unit of radiance.
+    let coefficients = lighting.coefficients;
+    let albedo = lighting.inner[0].rgb;
+    var gain = vec3(0.0);
+    var loss = vec3(0.0);
+    var weight = 0.0;
+    for (var l = thread; l < frame.rbf_count; l += THREADS) {
+        let escape = sources[l * source_stride(coefficients) + coefficients].rgb;
+        let others = 1.0 - matrix[l * frame.rbf_count + l];
+        let kept = (1.0 - albedo) + albedo * (escape + (1.0 - escape) * others);
+        let importance = rows[l * SH_COEFFICIENTS];
+        gain += importance * kept * residual(l * coefficients, slot);
+        loss += importance * ((1.0 - albedo) + albedo * escape);
+        weight += importance;
+    }
+    gain = add_up(gain, thread);
+    loss = add_up(loss, thread);
+    weight = add_up(vec3(weight), thread).x;
+    // Where next to nothing leaves, rounding is all that the sums hold.
+    let balance = select(vec3(0.0), gain / max(loss, vec3(1e-30)), loss > vec3(1e-5 * weight));
+
+    var change = vec3(0.0);
     for (var at = thread; at < used; at += THREADS) {
         var best = states[M * slot + at].rgb;
         for (var j = 0u; j < N; j++) {
             let u = states[(j + 2u) * slot + at].rgb - states[(j + 1u) * slot + at].rgb;
-            best += vec3(factors[0][j], factors[1][j], factors[2][j]) * u;
+            best += factor(j) * u;
+        }
+        if at % coefficients == 0u {
+            best += balance;
         }
         // Light that is the same in all directions is never negative.
-        if lighting.coefficients == 1u {
+        if coefficients == 1u {
             best = max(best, vec3(0.0));
         }
+        change += (best - states[at].rgb) * (best - states[at].rgb);
         states[at] = vec4(best, 0.0);
     }
+    change = add_up(change, thread);
     if thread == 0u {
-        let error = max(errors[0], max(errors[1], errors[2]));
+        let relative = sqrt(change / max(totals[SOLUTION], vec3(1e-30)));
+        let moved = max(relative.x, max(relative.y, relative.z));
+        // Two estimates, each an upper one: from the residual, and from how fast the changes shrink.
+        let shrinks = clamp(moved / max(control.change, 1e-30), 0.1, 0.95);
+        let by_change = select(1e30, moved * shrinks / (1.0 - shrinks), control.change > 0.0);
+        let error = min(max(errors[0], max(errors[1], errors[2])), by_change);
         control.sweeps += M;
         control.error = error;
+        control.change = moved;
         control.done = u32(error <= plan.tolerance);
     }
+}
+
+fn factor(j: u32) -> vec3<f32> {
+    return vec3(factors[0][j], factors[1][j], factors[2][j]);
+}
+
+// What a sweep would still change in the combination, before the sweep that it contains.
+fn residual(at: u32, slot: u32) -> vec3<f32> {
+    var sum = states[M * slot + at].rgb - states[(M - 1u) * slot + at].rgb;
+    for (var j = 0u; j < N; j++) {
+        let u = states[(j + 1u) * slot + at].rgb - states[j * slot + at].rgb;
+        let next = states[(j + 2u) * slot + at].rgb - states[(j + 1u) * slot + at].rgb;
+        sum += factor(j) * (next - u);
+    }
+    return sum;
 }

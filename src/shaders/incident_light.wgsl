@@ -1,12 +1,12 @@
-// Light that reaches every RBF's tetrahedral probes through the smoke, straight from where it comes from: one workgroup
+// Light that reaches every RBF's probes through the smoke, straight from where it comes from: one workgroup
 // a probe, one thread a direction. Each thread takes the environment's radiance along its direction, attenuated by the
 // optical depth through the coarse density grid; the workgroup projects the result to SH:
 //     L_d,k = (4 pi / N) sum_j L(w_j) exp(-tau_j) y_k(w_j).
-// Beside it: the share of light from all around that gets through, mean exp(-tau_j), and the density columns to the
-// lamps.
+// Beside it: the share of light from all around that gets through, mean exp(-tau_j), a grey exp(-tau) as SH, and the
+// density columns to the lamps.
 #import bevy_smoke::frame::{Frame, Rbf}
 #import bevy_smoke::sh::{basis, SH_COEFFICIENTS}
-#import bevy_smoke::lighting::{Lighting, arriving_from, probe_position, DIRECTIONS, MAX_LAMPS, PI}
+#import bevy_smoke::lighting::{Lighting, arriving_from, probe_position, DIRECTIONS, MAX_LAMPS, PI, PROBES}
 
 const MARCH_STEPS: u32 = 20u;
 const GOLDEN_ANGLE: f32 = 2.39996322972865;
@@ -17,10 +17,12 @@ const GOLDEN_ANGLE: f32 = 2.39996322972865;
 @group(0) @binding(3) var<storage, read> environment: array<vec4<f32>>;
 @group(0) @binding(4) var coarse: texture_3d<f32>;
 @group(0) @binding(5) var coarse_sampler: sampler;
-// 16 coefficients a probe, 4 probes an RBF. Alpha of the first three: the share that gets through, red, green, blue.
+// 16 coefficients a probe: light, and grey transmittance in alpha.
 @group(0) @binding(6) var<storage, read_write> probes: array<vec4<f32>>;
+// The share that gets through, one a probe.
+@group(0) @binding(7) var<storage, read_write> escapes: array<vec4<f32>>;
 // Scaled density times bundle length, MAX_LAMPS a probe.
-@group(0) @binding(7) var<storage, read_write> columns: array<f32>;
+@group(0) @binding(8) var<storage, read_write> columns: array<f32>;
 
 // Fibonacci directions, y up.
 fn direction(j: u32) -> vec3<f32> {
@@ -65,7 +67,8 @@ fn environment_radiance(towards: vec3<f32>) -> vec3<f32> {
     return radiance * lighting.environment_scale + lighting.ambient;
 }
 
-var<workgroup> arriving: array<vec3<f32>, DIRECTIONS>;
+// Light in a direction, and grey transmittance in alpha.
+var<workgroup> arriving: array<vec4<f32>, DIRECTIONS>;
 var<workgroup> escaping: array<vec3<f32>, DIRECTIONS>;
 var<workgroup> bases: array<array<f32, 16>, DIRECTIONS>;
 
@@ -76,10 +79,11 @@ fn gather(
 ) {
     let rbf = rbfs[group.x];
     let point = probe_position(rbf.center, rbf.radius, group.y);
-    let probe = group.x * 4u + group.y;
+    let probe = group.x * PROBES + group.y;
     let towards = direction(thread);
-    let kept = exp(-lighting.sigma * column(point, towards, 1e30));
-    arriving[thread] = environment_radiance(towards) * kept;
+    let met = column(point, towards, 1e30);
+    let kept = exp(-lighting.sigma * met);
+    arriving[thread] = vec4(environment_radiance(towards) * kept, exp(-lighting.sigma_mean * met));
     escaping[thread] = kept;
     bases[thread] = basis(towards);
     if thread < lighting.lamp_count {
@@ -88,13 +92,16 @@ fn gather(
     }
     workgroupBarrier();
     if thread < SH_COEFFICIENTS {
-        var sum = vec3(0.0);
-        var escape = 0.0;
+        var sum = vec4(0.0);
         for (var j = 0u; j < DIRECTIONS; j++) {
             sum += arriving[j] * bases[j][thread];
-            escape += escaping[j][min(thread, 2u)];
         }
-        let weight = 4.0 * PI / f32(DIRECTIONS);
-        probes[probe * SH_COEFFICIENTS + thread] = vec4(sum * weight, escape / f32(DIRECTIONS));
+        probes[probe * SH_COEFFICIENTS + thread] = sum * (4.0 * PI / f32(DIRECTIONS));
+    } else if thread == SH_COEFFICIENTS {
+        var escape = vec3(0.0);
+        for (var j = 0u; j < DIRECTIONS; j++) {
+            escape += escaping[j];
+        }
+        escapes[probe] = vec4(escape / f32(DIRECTIONS), 0.0);
     }
 }

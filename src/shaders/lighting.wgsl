@@ -46,39 +46,29 @@ struct Lighting {
 const MAX_LAMPS: u32 = 8u;
 const PI: f32 = 3.14159265358979;
 
-// Radiance that leaves an RBF toward the eye: its mean Jbar, then the gradient's columns, d/dx, d/dy, d/dz.
-struct Outgoing {
-    mean: vec3<f32>,
-    dx: vec3<f32>,
-    dy: vec3<f32>,
-    dz: vec3<f32>,
-}
-
-// Density columns from around an RBF to four lamps: their mean, and the gradient.
-struct Shade {
-    mean: vec4<f32>,
+// A quantity around an RBF: at its centre, its slopes and its curvatures along the axes, in bundle units. Radiance keeps
+// its bounds in alpha: the lower in center, dx, dy, the upper in dz, qx, qy.
+struct Fit {
+    center: vec4<f32>,
     dx: vec4<f32>,
     dy: vec4<f32>,
     dz: vec4<f32>,
+    qx: vec4<f32>,
+    qy: vec4<f32>,
+    qz: vec4<f32>,
 }
 
 // Directions each probe looks in; one thread each.
 const DIRECTIONS: u32 = 64u;
-// Radius of the tetrahedron of probes over the RBF's.
+// Probes around an RBF: its centre, and both sides along x, y and z.
+const PROBES: u32 = 7u;
+// Their distance from the centre over the RBF's radius.
 const RHO: f32 = 1.0;
 
-// Corner i of the tetrahedron, a unit vector.
-fn tetrahedron(i: u32) -> vec3<f32> {
-    let signs = vec3(
-        select(1.0, -1.0, i >= 2u),
-        select(1.0, -1.0, i == 1u || i == 3u),
-        select(1.0, -1.0, i == 1u || i == 2u),
-    );
-    return signs * 0.5773502691896258;
-}
-
 fn probe_position(center: vec3<f32>, radius: f32, i: u32) -> vec3<f32> {
-    return center + RHO * radius * tetrahedron(i);
+    let side = select(-RHO, RHO, (i & 1u) == 1u) * radius;
+    let axis = (i + 1u) / 2u;
+    return center + side * vec3(f32(axis == 1u), f32(axis == 2u), f32(axis == 3u));
 }
 
 // A lamp as a point sees it, without the smoke between.

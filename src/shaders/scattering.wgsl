@@ -9,6 +9,8 @@ struct Control {
     sweeps: u32,
     // Estimated error, relative to the root mean square of the solution.
     error: f32,
+    // By how much the last extrapolation and its sweeps have changed the solution, likewise; 0 before the first.
+    change: f32,
 }
 
 // An RBF's place in the list of sources: its coefficients, and the share that escapes.

@@ -1,6 +1,6 @@
 // One sweep of transport between the RBFs: one workgroup gathers what an RBF sees of all others,
 //     G_k = sum_h Khat_lh ((1 - a_k) J_h,k + 4 pi a_k y_k(d) sum_j a_j y_j(d) J_h,j),   d from l to h,
-// and scatters it: J_l,k = S_l,k + Omega' g'^l (1 - escape_l) G_k, as functions of the look direction. An RBF near by is seen
+// and scatters it: J_l,k = S_l,k + Omega' g'^l ((1 - escape_l) G_k + C_k G_0), as functions of the look direction. An RBF near by is seen
 // in many directions (a_k = 0), one far away in one (a_k = 1). What an RBF sees of itself is solved for at once (Jacobi's
 // method), since where smoke is thick that is most of it.
 #import bevy_smoke::frame::{Frame, Rbf}
@@ -26,18 +26,28 @@ fn slot(index: u32) -> u32 {
     return index * frame.rbf_count * SH_COEFFICIENTS;
 }
 
-// Stores what follows from what is seen of the others, in color and all in all.
-fn scatter(l: u32, k: u32, others: vec3<f32>, share: f32) {
+// Stores what follows from what is seen of the others: color for coefficient 0 and k, and their share in all that is seen.
+fn scatter(l: u32, k: u32, others_0: vec3<f32>, others_k: vec3<f32>, share: f32) {
     let coefficients = lighting.coefficients;
     let source = l * source_stride(coefficients);
-    let again = lighting.inner[band(k)].rgb;
     let escape = sources[source + coefficients].rgb;
-    // 1 - again (1 - escape) Khat_ll, from what is left of 1 each time: exact however thick and white the smoke is.
-    let kept = (1.0 - again) + again * (escape + (1.0 - escape) * share);
-    let radiance = (sources[source + k].rgb + again * (1.0 - escape) * others) / max(kept, vec3(1e-30));
+    let itself = 1.0 - share;
+    // 1 - albedo (1 - escape) Khat_ll, from what is left of 1 each time: exact however thick and white the smoke is.
+    let albedo = lighting.inner[0].rgb;
+    let kept_0 = (1.0 - albedo) + albedo * (escape + (1.0 - escape) * share);
+    var radiance = (sources[source].rgb + albedo * (1.0 - escape) * others_0) / max(kept_0, vec3(1e-30));
+    var seen = others_0 + itself * radiance;
+    if k > 0u {
+        let again = lighting.inner[band(k)].rgb;
+        let light = sources[source + k];
+        let kept = (1.0 - again) + again * (escape + (1.0 - escape) * share);
+        let scattered = light.rgb + again * ((1.0 - escape) * others_k + light.a * seen);
+        radiance = scattered / max(kept, vec3(1e-30));
+        seen = others_k + itself * radiance;
+    }
     let at = l * coefficients + k;
     states[slot(plan.to_slot) + at] = vec4(radiance, 0.0);
-    gathered[at] = vec4(others + (1.0 - share) * radiance, 0.0);
+    gathered[at] = vec4(seen, 0.0);
 }
 
 // What RBF l sees of another.
@@ -77,7 +87,7 @@ fn sweep_isotropic(
         workgroupBarrier();
     }
     if thread == 0u {
-        scatter(l, 0u, partial[0].rgb, partial[0].a);
+        scatter(l, 0u, partial[0].rgb, partial[0].rgb, partial[0].a);
     }
 }
 
@@ -137,6 +147,7 @@ fn sweep(
     workgroupBarrier();
     if quarter == 0u {
         let all = partial[k] + partial[k + 16u] + partial[k + 32u] + partial[k + 48u];
-        scatter(l, k, all.rgb, all.a);
+        let mean = partial[0] + partial[16] + partial[32] + partial[48];
+        scatter(l, k, mean.rgb, all.rgb, all.a);
     }
 }

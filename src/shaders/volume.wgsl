@@ -1,15 +1,15 @@
 // Reconstructs the source radiance at every cell, padded by one cell on each side:
-//     J(x) = max(0, sum_l phi_l (Jbar_l + G_l delta_l) / sum_l phi_l),   phi = w (exp(-u^2) + tail),
+//     J(x) = max(0, sum_l phi_l J_l(x) / sum_l phi_l),   phi = w (exp(-u^2) + tail),   J_l the quadratic fit,
 // and, for every lamp, albedo times phase times its irradiance after exp(-sigma column), with columns interpolated by the
 // same formula: transmittance falls exponentially where smoke is thick, columns grow evenly. Beside it the density.
 // The tail, a millionth at the centre, decays slowly: where no RBF reaches,
 // wisps take the source radiance of the nearest ones.
 #import bevy_smoke::frame::{Frame, Rbf, MAX_HALF, bin_index, cell_center}
-#import bevy_smoke::lighting::{Lighting, Outgoing, Shade, arriving_from, phase}
+#import bevy_smoke::lighting::{Lighting, Fit, arriving_from, phase}
 
 const TAIL: f32 = 1e-6;
-// The gradient is followed no farther than this many radii.
-const REACH: f32 = 2.0;
+// The fits are followed no farther than this many radii.
+const REACH: f32 = 1.5;
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<uniform> lighting: Lighting;
@@ -18,8 +18,8 @@ const REACH: f32 = 2.0;
 @group(0) @binding(3) var<storage, read> rbfs: array<Rbf>;
 @group(0) @binding(4) var<storage, read> bin_offsets: array<u32>;
 @group(0) @binding(5) var<storage, read> bin_indices: array<u32>;
-@group(0) @binding(6) var<storage, read> outgoing: array<Outgoing>;
-@group(0) @binding(7) var<storage, read> shades: array<Shade>;
+@group(0) @binding(6) var<storage, read> outgoing: array<Fit>;
+@group(0) @binding(7) var<storage, read> shades: array<Fit>;
 @group(0) @binding(8) var density: texture_3d<f32>;
 // RGB: source radiance; alpha: scaled density.
 @group(0) @binding(9) var volume: texture_storage_3d<rgba16float, write>;
@@ -38,6 +38,11 @@ fn near_density(cell: vec3<i32>) -> bool {
         }
     }
     return false;
+}
+
+// A fit at an offset from its centre.
+fn value(f: Fit, d: vec3<f32>) -> vec4<f32> {
+    return f.center + (f.dx + f.qx * d.x) * d.x + (f.dy + f.qy * d.y) * d.y + (f.dz + f.qz * d.z) * d.z;
 }
 
 @compute @workgroup_size(8, 8, 4)
@@ -63,10 +68,11 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
         let phi = rbf.weight * (exp(-u2) + TAIL / ((1.0 + u2) * (1.0 + u2)));
         let delta = offset * min(1.0, REACH / sqrt(max(u2, 1e-12)));
         let o = outgoing[l];
-        sum += phi * (o.mean + o.dx * delta.x + o.dy * delta.y + o.dz * delta.z);
+        let low = vec3(o.center.w, o.dx.w, o.dy.w);
+        let high = vec3(o.dz.w, o.qx.w, o.qy.w);
+        sum += phi * clamp(value(o, delta).rgb, low, high);
         for (var s = 0u; 4u * s < lighting.lamp_count; s++) {
-            let c = shades[2u * l + s];
-            columns[s] += phi * (c.mean + c.dx * delta.x + c.dy * delta.y + c.dz * delta.z);
+            columns[s] += phi * value(shades[2u * l + s], delta);
         }
         weights += phi;
     }
