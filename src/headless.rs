@@ -24,7 +24,7 @@ use bevy::window::ExitCondition;
 use bevy::winit::WinitPlugin;
 
 use crate::SmokePlugin;
-use crate::render::SmokeRenderStats;
+use crate::render::{self, SmokeRenderStats, SolverReport};
 
 /// A Bevy app without a window: `DefaultPlugins`, [`SmokePlugin`], GPU spans, and one image to draw into. Updates
 /// happen one at a time, rendering included, and pipelines are compiled before they are first needed.
@@ -133,6 +133,11 @@ impl Headless {
         Err(HeadlessError::NothingDrawn)
     }
 
+    /// What the solvers of multiple scattering did last, one a volume and light that has one.
+    pub fn solver_reports(&self) -> Vec<SolverReport> {
+        render::read_solver_reports(self.app.sub_app(RenderApp).world())
+    }
+
     /// Waits until the GPU has done all that it was given.
     pub fn wait(&self) {
         let device = self.app.world().resource::<RenderDevice>();
@@ -184,7 +189,6 @@ pub(crate) fn read_texture(device: &RenderDevice, queue: &RenderQueue, texture: 
 }
 
 /// The bytes of a buffer that can be copied from.
-#[cfg(test)]
 pub(crate) fn read_buffer(device: &RenderDevice, queue: &RenderQueue, buffer: &Buffer) -> Vec<u8> {
     let staging = device.create_buffer(&BufferDescriptor {
         label: Some("smoke_readback"),

@@ -57,6 +57,7 @@ pub mod rbf;
 pub mod reference;
 pub mod render;
 pub mod residual;
+pub mod scattering;
 pub mod sh;
 mod shaders;
 pub mod volume;
@@ -70,6 +71,7 @@ pub mod prelude {
     pub use crate::bundle::SmokeAnimation;
     pub use crate::lighting::SmokeEnvironment;
     pub use crate::medium::SmokeMedium;
+    pub use crate::scattering::{ScatteringEvents, SmokeScattering};
     pub use crate::volume::SmokeVolume;
 }
 
@@ -85,6 +87,7 @@ impl Plugin for SmokePlugin {
             .register_type::<volume::SmokeVolume>()
             .register_type::<medium::SmokeMedium>()
             .register_type::<lighting::SmokeEnvironment>()
+            .register_type::<scattering::SmokeScattering>()
             .add_plugins((volume::SmokeVolumePlugin, render::SmokeRenderPlugin));
     }
 }

@@ -7,6 +7,7 @@ use bevy::prelude::*;
 use crate::bundle::SmokeAnimation;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
+use crate::scattering::SmokeScattering;
 
 /// A volume of smoke.
 ///
@@ -19,7 +20,7 @@ use crate::medium::SmokeMedium;
 /// whole, the one whose centre is farther from the camera first; they do not shade each other.
 #[derive(Component, Clone, Debug, Default, PartialEq, Reflect)]
 #[reflect(Component, Default, Debug, Clone, PartialEq)]
-#[require(SmokeMedium, SmokeEnvironment, Transform, Visibility, VisibilityClass)]
+#[require(SmokeMedium, SmokeEnvironment, SmokeScattering, Transform, Visibility, VisibilityClass)]
 #[component(on_add = visibility::add_visibility_class::<SmokeVolume>)]
 pub struct SmokeVolume {
     /// The baked smoke.

@@ -133,7 +133,8 @@ fn summary(report: &BakeReport) -> String {
     )
 }
 
-fn warn_of_lost_smoke(grid: &DensityGrid) {
+/// Warns of what a density file holds that is not taken over.
+pub(super) fn warn_of_lost_smoke(grid: &DensityGrid) {
     if grid.source.negative_voxels > 0 {
         eprintln!("warning: {} voxels have negative density; they are taken as empty", grid.source.negative_voxels);
     }
@@ -143,12 +144,12 @@ fn warn_of_lost_smoke(grid: &DensityGrid) {
 }
 
 /// Steps of the progress bar.
-const BAR_STEPS: u64 = 1000;
+pub(super) const BAR_STEPS: u64 = 1000;
 /// Share of the bar for the fit, which takes most of the time.
 const FIT_SHARE: f32 = 0.9;
 
 /// A bar on standard error, invisible where that is not a terminal.
-fn progress_bar() -> ProgressBar {
+pub(super) fn progress_bar() -> ProgressBar {
     let bar = ProgressBar::new(BAR_STEPS);
     let style = ProgressStyle::with_template("{msg:>20} [{bar:40}] {elapsed}, about {eta} left");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
@@ -169,13 +170,13 @@ fn show(bar: &ProgressBar, progress: &BakeProgress) {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::path::Path;
 
     use super::*;
 
     /// A blob of 12 × 10 × 8 cells as a NumPy file.
-    fn blob(folder: &Path) -> PathBuf {
+    pub fn blob(folder: &Path) -> PathBuf {
         let path = folder.join("blob.npy");
         let mut header = "{'descr': '<f4', 'fortran_order': False, 'shape': (12, 10, 8), }".to_string();
         // The data begins at a multiple of 64 bytes, and the header ends in a line end.

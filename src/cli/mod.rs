@@ -7,6 +7,7 @@ pub mod compare;
 pub mod exr_io;
 pub mod info;
 pub mod output;
+pub mod path;
 pub mod render;
 pub mod scene;
 pub mod study;
@@ -26,7 +27,7 @@ enum Cli {
     /// Show what a .smoke bundle holds, and check it for damage
     #[command(after_help = info::EXAMPLES)]
     Info(info::InfoArgs),
-    /// Draw a bundle to an image, as the plug-in draws it in a game
+    /// Draw a scene to an image, as the plug-in draws it in a game or path-traced
     Render(render::RenderArgs),
     /// Measure the error of an image against a reference
     #[command(after_help = compare::EXAMPLES)]

@@ -1,4 +1,4 @@
-//! `smoke render`: draws a scene with the real plug-in in a windowless app.
+//! `smoke render`: draws a scene, with the real plug-in in a windowless app or by another method.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -8,6 +8,7 @@ use bevy::asset::RenderAssetUsages;
 use bevy::camera::{Exposure, Hdr};
 use bevy::core_pipeline::tonemapping::{DebandDither, Tonemapping};
 use bevy::diagnostic::{DEFAULT_MAX_HISTORY_LENGTH, Diagnostic, DiagnosticPath, DiagnosticsStore};
+use bevy::math::DVec3;
 use bevy::prelude::*;
 use bevy::render::render_resource::{Extent3d, TextureDimension, TextureFormat};
 use bevy::render::renderer::RenderAdapterInfo;
@@ -16,30 +17,33 @@ use serde::Serialize;
 
 use super::exr_io::{ExrImage, encode_rgba};
 use super::output::OutputFile;
-use super::scene::{Environment, Scene, ScenePlacement};
+use super::path::{self, PathArgs};
+use super::scene::{Environment, Scene, SceneLight};
 use crate::bundle::{self, SmokeAnimation};
 use crate::headless::{Headless, HeadlessError};
 use crate::lighting::magnitude;
 use crate::prelude::*;
-use crate::render::SmokeRenderStats;
+use crate::render::{PROBES, SmokeRenderStats};
+use crate::scattering::ScatteringChoice;
 
 /// Arguments of `smoke render`.
 #[derive(Args, Debug)]
-#[command(after_help = "Example:\n  smoke render plume.smoke -o plume.exr --scene scene.json --scattering single\n\n\
+#[command(after_help = "Examples:\n  smoke render plume.smoke -o plume.exr --scene scene.json --scattering single\n  \
+    smoke render plume.vdb -o full.exr --scene scene.json --method path --spp 1024 --halves\n\n\
     An EXR holds linear media radiance without background in R, G, B and 1 - transmittance in A; a PNG holds the same \
     over black, sRGB-encoded, without tone mapping.")]
 pub struct RenderArgs {
-    /// The smoke: a .smoke bundle; it overrides the scene's `density`
-    input: PathBuf,
+    /// The smoke: a .smoke bundle, or with --method path a density file too; it overrides the scene's `density`
+    pub(super) input: PathBuf,
     /// The picture to write, .exr or .png
     #[arg(short, long)]
-    output: PathBuf,
+    pub(super) output: PathBuf,
     /// Medium, light and camera, as JSON
     #[arg(long)]
-    scene: PathBuf,
+    pub(super) scene: PathBuf,
     /// Which frame of the bundle, from 0
     #[arg(long, default_value_t = 0)]
-    frame: u32,
+    pub(super) frame: u32,
     /// How often the scene is drawn: more than once to see in --stats what the first frame costs and what the rest do
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     frames: u32,
@@ -48,14 +52,17 @@ pub struct RenderArgs {
     method: Method,
     /// How often light may scatter on its way to the eye
     #[arg(long, value_enum, default_value_t = Scattering::Auto)]
-    scattering: Scattering,
+    pub(super) scattering: Scattering,
     /// Picture size, in place of the scene's
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     size: Option<[u32; 2]>,
-    /// Rays a pixel, a square number (1, 4, 9, 16, ...): the picture is drawn that much larger and averaged, as a path
-    /// tracer averages over a pixel's area
-    #[arg(long, value_name = "N", default_value_t = 16, value_parser = parse_square)]
-    spp: u32,
+    /// Rays a pixel. rbf: a square number from 1 to 256, 16 unless given; the picture is drawn that much larger and
+    /// averaged, as a path tracer averages over a pixel's area. path: paths in all, 2 or more, 256 unless given; the
+    /// noise falls with their square root
+    #[arg(long, value_name = "N")]
+    spp: Option<u32>,
+    #[command(flatten)]
+    pub(super) path: PathArgs,
     /// Writes what was done and what it cost, as JSON
     #[arg(long)]
     stats: Option<PathBuf>,
@@ -63,7 +70,7 @@ pub struct RenderArgs {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
-enum Method {
+pub(super) enum Method {
     /// The cheapest that the scene allows
     Auto,
     /// RBFs with probes: the product's best on bundles
@@ -72,18 +79,18 @@ enum Method {
     Paper,
     /// Navarro et al. 2008 (not available yet)
     Constellation,
-    /// The path-traced reference (not available yet)
+    /// The path-traced reference, on the CPU: any light, any number of scattering events, and noise
     Path,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
-enum Scattering {
+pub(super) enum Scattering {
     /// What the medium needs
     Auto,
     /// Exactly one scattering event
     Single,
-    /// Any number of scattering events (not available yet)
+    /// Any number of scattering events
     Multiple,
 }
 
@@ -95,11 +102,17 @@ fn parse_size(text: &str) -> Result<[u32; 2], String> {
     }
 }
 
-fn parse_square(text: &str) -> Result<u32, String> {
-    match text.parse::<u32>() {
-        Ok(n) if (1..=256).contains(&n) && n.isqrt().pow(2) == n => Ok(n),
-        _ => Err("rays a pixel are a square number from 1 to 256: 1, 4, 9, 16, ...".into()),
+/// Rays a pixel, from what was asked for.
+fn rays(spp: Option<u32>, method: Method) -> anyhow::Result<u32> {
+    if method == Method::Path {
+        let spp = spp.unwrap_or(256);
+        ensure!(spp >= 2, "--spp {spp}: method path takes 2 paths a pixel or more, one for each half");
+        return Ok(spp);
     }
+    let spp = spp.unwrap_or(16);
+    let is_square = (1..=256).contains(&spp) && spp.isqrt().pow(2) == spp;
+    ensure!(is_square, "--spp {spp}: rays a pixel are a square number from 1 to 256: 1, 4, 9, 16, ...");
+    Ok(spp)
 }
 
 /// What `--stats` writes.
@@ -109,6 +122,8 @@ struct Stats {
     backend: String,
     method: Choice<Method>,
     scattering: Choice<Scattering>,
+    /// What the solver of multiple scattering did last; null without one.
+    solver: Option<SolverStats>,
     size: [u32; 2],
     spp: u32,
     cells: [u32; 3],
@@ -121,11 +136,20 @@ struct Stats {
 }
 
 /// What was asked for, what was done, and why.
+#[derive(Clone, Serialize)]
+pub(super) struct Choice<T> {
+    pub asked: T,
+    pub used: T,
+    pub why: String,
+}
+
 #[derive(Serialize)]
-struct Choice<T> {
-    asked: T,
-    used: T,
-    why: &'static str,
+struct SolverStats {
+    converged: bool,
+    /// Sweeps over all pairs of RBFs, without the last.
+    sweeps: u32,
+    /// Estimated relative error.
+    error: f32,
 }
 
 #[derive(Serialize)]
@@ -139,39 +163,76 @@ struct PassStats {
     steady_ms: Option<f64>,
 }
 
+/// A picture to make: the arguments, checked as far as that goes without the smoke.
+pub(super) struct Job {
+    pub args: RenderArgs,
+    pub method: Choice<Method>,
+    /// Width and height in pixels.
+    pub size: [u32; 2],
+    /// Rays a pixel.
+    pub spp: u32,
+    pub scene: Scene,
+    pub kind: PictureKind,
+    pub output: OutputFile,
+    pub stats: Option<OutputFile>,
+    /// The two halves of a picture by [`path`], if asked for.
+    pub halves: Option<[OutputFile; 2]>,
+}
+
+impl Job {
+    fn new(args: RenderArgs) -> anyhow::Result<Self> {
+        let method = choose_method(&args)?;
+        let spp = rays(args.spp, method.used)?;
+        let kind = PictureKind::of(&args.output)?;
+        let (scene, warnings) = Scene::read(&args.scene)?;
+        for warning in warnings {
+            eprintln!("warning: {}: {warning}", args.scene.display());
+        }
+        let mut taken = vec![args.input.clone(), args.scene.clone()];
+        if let Environment::Equirect(path) = &scene.environment {
+            taken.push(path.clone());
+        }
+        let mut prepare = |path: &Path| {
+            let output = OutputFile::prepare(path, &taken.iter().map(PathBuf::as_path).collect::<Vec<_>>())?;
+            taken.push(path.into());
+            anyhow::Ok(output)
+        };
+        let output = prepare(&args.output)?;
+        let stats = args.stats.as_deref().map(&mut prepare).transpose()?;
+        let halves = match args.path.half_paths(&args.output) {
+            Some([a, b]) => Some([prepare(&a)?, prepare(&b)?]),
+            None => None,
+        };
+        let size = args.size.unwrap_or(scene.camera.size);
+        Ok(Self { args, method, size, spp, scene, kind, output, stats, halves })
+    }
+}
+
 /// Runs the command.
 pub fn run(args: RenderArgs) -> anyhow::Result<()> {
-    let (method, scattering) = choose(&args)?;
-    let kind = PictureKind::of(&args.output)?;
-    let (scene, warnings) = Scene::read(&args.scene)?;
-    for warning in warnings {
-        eprintln!("warning: {}: {warning}", args.scene.display());
+    let job = Job::new(args)?;
+    match job.method.used {
+        Method::Path => path::run(&job),
+        _ => draw(job),
     }
-    let mut taken = vec![args.input.as_path(), args.scene.as_path()];
-    if let Environment::Equirect(path) = &scene.environment {
-        taken.push(path);
-    }
-    let output = OutputFile::prepare(&args.output, &taken)?;
-    taken.push(&args.output);
-    let stats_file = args.stats.as_deref().map(|path| OutputFile::prepare(path, &taken)).transpose()?;
-    let animation = read_bundle(&args.input)?;
-    let frame_count = animation.frames.len() as u32;
-    ensure!(args.frame < frame_count, "frame {} of a bundle that has {frame_count}, counted from 0", args.frame);
+}
 
-    let size = args.size.unwrap_or(scene.camera.size);
-    let rays = args.spp.isqrt();
+/// Draws with the plug-in.
+fn draw(job: Job) -> anyhow::Result<()> {
+    let Job { args, method, size, spp, scene, kind, output, stats: stats_file, .. } = job;
+    let animation = read_bundle(&args.input, args.frame)?;
+    let rays = spp.isqrt();
     let drawn = size.map(|side| side * rays);
     ensure!(
         drawn.iter().all(|side| *side <= MAX_SIDE),
-        "{} x {} pixels at {} rays each are more than an adapter's {MAX_SIDE} a side: lower --size or --spp",
+        "{} x {} pixels at {spp} rays each are more than an adapter's {MAX_SIDE} a side: lower --size or --spp",
         size[0],
         size[1],
-        args.spp
     );
     let rbfs = animation.frames[args.frame as usize].rbfs.rbfs.len();
     let cells = animation.shape.dims.to_array();
     let mut headless = Headless::new(drawn.into(), TextureFormat::Rgba16Float)?;
-    let unit = spawn_scene(&mut headless, &scene, animation, args.frame)?;
+    let (volume, unit) = spawn_scene(&mut headless, &scene, animation, &args)?;
 
     // The first frame is the one in which the smoke appears.
     let mut counts = vec![[0; SmokeRenderStats::PASSES.len()]];
@@ -191,10 +252,6 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
         counts.push(headless.app.world().resource::<SmokeRenderStats>().dispatches());
     }
     let pixels = average(&headless.float_pixels(), size, rays, unit);
-    ensure!(
-        pixels.iter().flatten().all(|value| value.is_finite()),
-        "the picture has pixels that are not finite: this is a fault of bevy_smoke, please report the scene"
-    );
     output.write(&kind.encode(size, &pixels)?)?;
 
     if let Some(file) = stats_file {
@@ -202,18 +259,25 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
         for _ in 0..4 {
             headless.app.update();
         }
+        let solver = headless.solver_reports().first().map(|report| SolverStats {
+            converged: report.converged,
+            sweeps: report.sweeps,
+            error: report.error,
+        });
         let world = headless.app.world();
+        let choice = world.resource::<SmokeRenderStats>().scattering(volume);
         let adapter = world.resource::<RenderAdapterInfo>();
         let stats = Stats {
             adapter: adapter.name.clone(),
             backend: adapter.backend.to_string(),
             method,
-            scattering,
+            scattering: chosen_scattering(args.scattering, choice),
+            solver,
             size,
-            spp: args.spp,
+            spp,
             cells,
             rbfs,
-            probes: 4 * rbfs,
+            probes: PROBES as usize * rbfs,
             frames: args.frames,
             steady_frame_ms: median(frame_ms),
             passes: pass_stats(&counts, world.resource()),
@@ -244,48 +308,66 @@ fn average(fine: &[[f32; 4]], [width, height]: [u32; 2], rays: u32, unit: f32) -
     pixels
 }
 
-/// What to do, of what was asked for.
-fn choose(args: &RenderArgs) -> anyhow::Result<(Choice<Method>, Choice<Scattering>)> {
+/// The method to use, of what was asked for.
+fn choose_method(args: &RenderArgs) -> anyhow::Result<Choice<Method>> {
     let method = match args.method {
-        Method::Auto => Choice { asked: Method::Auto, used: Method::Rbf, why: "the input is a bundle" },
-        Method::Rbf => Choice { asked: Method::Rbf, used: Method::Rbf, why: "asked for" },
+        Method::Auto => Choice { asked: Method::Auto, used: Method::Rbf, why: "the input is a bundle".into() },
+        asked @ (Method::Rbf | Method::Path) => Choice { asked, used: asked, why: "asked for".into() },
         other => {
             let name = other.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default();
-            bail!("--method {name} is not available yet: use rbf")
+            bail!("--method {name} is not available yet: use rbf or path")
         }
     };
-    let scattering = match args.scattering {
-        Scattering::Auto => {
-            Choice { asked: Scattering::Auto, used: Scattering::Single, why: "single scattering is what is available" }
-        }
-        Scattering::Single => Choice { asked: Scattering::Single, used: Scattering::Single, why: "asked for" },
-        Scattering::Multiple => bail!("--scattering multiple is not available yet: use single"),
-    };
-    Ok((method, scattering))
+    let traced = method.used == Method::Path;
+    ensure!(traced || !args.path.is_given(), "--halves and --seed are for --method path");
+    ensure!(!traced || args.frames == 1, "--frames: method path draws a scene once");
+    Ok(method)
 }
 
-fn read_bundle(path: &Path) -> anyhow::Result<SmokeAnimation> {
-    let is_density = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("vdb") || e.eq_ignore_ascii_case("npy"));
-    ensure!(!is_density, "{} is a density file: bake it first (smoke bake {0} -o OUT.smoke)", path.display());
+/// What the plug-in came to.
+fn chosen_scattering(asked: Scattering, choice: Option<ScatteringChoice>) -> Choice<Scattering> {
+    match choice {
+        Some(choice) => {
+            let used = if choice.multiple { Scattering::Multiple } else { Scattering::Single };
+            Choice { asked, used, why: choice.to_string() }
+        }
+        None => Choice { asked, used: asked, why: "no smoke was drawn".into() },
+    }
+}
+
+/// Whether a file is named like a density and not like a bundle.
+pub(super) fn is_density(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("vdb") || e.eq_ignore_ascii_case("npy"))
+}
+
+/// Reads a bundle that has this frame.
+pub(super) fn read_bundle(path: &Path, frame: u32) -> anyhow::Result<SmokeAnimation> {
+    ensure!(
+        !is_density(path),
+        "{} is a density file: bake it first (smoke bake {0} -o OUT.smoke), or use --method path",
+        path.display()
+    );
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    bundle::read(&bytes).with_context(|| path.display().to_string())
+    let animation = bundle::read(&bytes).with_context(|| path.display().to_string())?;
+    let frames = animation.frames.len();
+    ensure!((frame as usize) < frames, "frame {frame} of a bundle that has {frames}, counted from 0");
+    Ok(animation)
 }
 
-/// Spawns the volume and a camera that shows radiance as it is: exposure 1, no tone mapping, no dithering. Returns the
-/// radiance that 1 in the picture stands for: the picture is f16, the light may be in any unit.
-fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation, frame: u32) -> anyhow::Result<f32> {
-    let transform = match scene.placement {
-        ScenePlacement::File => {
-            let placement = animation.placement;
-            let side = placement.voxel_size * f64::from(animation.shape.longest());
-            Transform::from_translation(placement.center.as_vec3()).with_scale(Vec3::splat(side as f32))
-        }
-        ScenePlacement::Width(width) => Transform::from_scale(Vec3::splat(width as f32)),
-    };
+/// Spawns the volume, its lights and a camera that shows radiance as it is: exposure 1, no tone mapping, no dithering.
+/// Returns the volume and the radiance that 1 in the picture stands for: the picture is f16, the light may be in any unit.
+fn spawn_scene(
+    headless: &mut Headless,
+    scene: &Scene,
+    animation: SmokeAnimation,
+    args: &RenderArgs,
+) -> anyhow::Result<(Entity, f32)> {
+    let (center, side) = scene.placement.center_and_side(animation.shape, animation.placement);
+    let transform = Transform::from_translation(center.as_vec3()).with_scale(Vec3::splat(side as f32));
     let world = headless.app.world_mut();
     let (environment, unit) = match &scene.environment {
         Environment::Equirect(path) => {
-            let image = world.resource_mut::<Assets<Image>>().add(read_equirect(path)?);
+            let image = world.resource_mut::<Assets<Image>>().add(equirect_texture(path)?);
             (SmokeEnvironment::equirect(image, 1.0), 1.0)
         }
         lobes => {
@@ -296,8 +378,14 @@ fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation
     };
     let animation = world.resource_mut::<Assets<SmokeAnimation>>().add(animation);
     let albedo = scene.albedo.as_vec3();
-    world.spawn((
-        SmokeVolume { animation, frame },
+    let events = match args.scattering {
+        Scattering::Auto => ScatteringEvents::Auto,
+        Scattering::Single => ScatteringEvents::Single,
+        Scattering::Multiple => ScatteringEvents::Multiple,
+    };
+    let volume = world.spawn((
+        SmokeVolume { animation, frame: args.frame },
+        SmokeScattering { events, ..default() },
         SmokeMedium {
             sigma_t: scene.sigma_t as f32,
             albedo: LinearRgba::rgb(albedo.x, albedo.y, albedo.z),
@@ -306,6 +394,10 @@ fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation
         environment,
         transform,
     ));
+    let volume = volume.id();
+    for light in &scene.lights {
+        spawn_light(world, light, unit);
+    }
 
     let camera = &scene.camera;
     let projection = PerspectiveProjection { fov: camera.fov_y_deg.to_radians() as f32, near: 1e-3, ..default() };
@@ -323,13 +415,48 @@ fn spawn_scene(headless: &mut Headless, scene: &Scene, animation: SmokeAnimation
         Projection::Perspective(projection),
         Transform::from_translation(camera.eye.as_vec3()).looking_at(camera.target.as_vec3(), Vec3::Y),
     ));
-    Ok(unit)
+    Ok((volume, unit))
 }
 
-/// A latitude-longitude image, HDR or EXR, as linear floats.
-fn read_equirect(path: &Path) -> anyhow::Result<Image> {
+/// Spawns a light as Bevy's own, in units of `unit`.
+fn spawn_light(world: &mut World, light: &SceneLight, unit: f32) {
+    // A colour of which the largest channel is 1, and that channel.
+    let split = |rgb: DVec3| {
+        let rgb = rgb.as_vec3() / unit;
+        let largest = rgb.max_element().max(f32::MIN_POSITIVE);
+        let [r, g, b] = (rgb / largest).to_array();
+        (Color::linear_rgb(r, g, b), largest)
+    };
+    // Bevy counts lumens, a sphere's worth of candela; nothing ends the light but the square of its distance.
+    let sphere = 4.0 * std::f32::consts::PI;
+    let range = 1e6;
+    let along = |position: DVec3, direction: DVec3| {
+        Transform::from_translation(position.as_vec3())
+            .looking_to(direction.as_vec3(), direction.any_orthogonal_vector().as_vec3())
+    };
+    match *light {
+        SceneLight::Sun { direction, irradiance, .. } => {
+            let (color, illuminance) = split(irradiance);
+            world.spawn((DirectionalLight { color, illuminance, ..default() }, along(DVec3::ZERO, -direction)));
+        }
+        SceneLight::Point { position, intensity } => {
+            let (color, candela) = split(intensity);
+            let light = PointLight { color, intensity: candela * sphere, range, ..default() };
+            world.spawn((light, Transform::from_translation(position.as_vec3())));
+        }
+        SceneLight::Spot { position, direction, intensity, inner_deg, outer_deg } => {
+            let (color, candela) = split(intensity);
+            let [inner_angle, outer_angle] = [inner_deg, outer_deg].map(|deg| deg.to_radians() as f32);
+            let light = SpotLight { color, intensity: candela * sphere, range, inner_angle, outer_angle, ..default() };
+            world.spawn((light, along(position, direction)));
+        }
+    }
+}
+
+/// A latitude-longitude image, HDR or EXR: its size and linear texels.
+pub(super) fn read_equirect(path: &Path) -> anyhow::Result<([u32; 2], Vec<[f32; 3]>)> {
     let is_exr = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
-    let ([width, height], rgb) = if is_exr {
+    let (size, rgb) = if is_exr {
         let image = ExrImage::read(path)?;
         (image.size.map(|side| side as u32), image.rgb()?)
     } else {
@@ -338,6 +465,12 @@ fn read_equirect(path: &Path) -> anyhow::Result<Image> {
     };
     let finite = rgb.iter().flatten().all(|value| value.is_finite());
     ensure!(finite, "{} has pixels that are not finite", path.display());
+    Ok((size, rgb))
+}
+
+/// The same as Bevy's image.
+fn equirect_texture(path: &Path) -> anyhow::Result<Image> {
+    let ([width, height], rgb) = read_equirect(path)?;
     let data: Vec<u8> = rgb.iter().flat_map(|&[r, g, b]| [r, g, b, 1.0]).flat_map(f32::to_le_bytes).collect();
     Ok(Image::new(
         Extent3d { width, height, depth_or_array_layers: 1 },
@@ -349,7 +482,7 @@ fn read_equirect(path: &Path) -> anyhow::Result<Image> {
 }
 
 #[derive(Clone, Copy)]
-enum PictureKind {
+pub(super) enum PictureKind {
     Exr,
     Png,
 }
@@ -363,7 +496,12 @@ impl PictureKind {
         }
     }
 
-    fn encode(self, [width, height]: [u32; 2], pixels: &[[f32; 4]]) -> anyhow::Result<Vec<u8>> {
+    /// The file's bytes: RGBA pixels in rows, top row first. Values that are not finite are refused.
+    pub fn encode(self, [width, height]: [u32; 2], pixels: &[[f32; 4]]) -> anyhow::Result<Vec<u8>> {
+        ensure!(
+            pixels.iter().flatten().all(|value| value.is_finite()),
+            "the picture has pixels that are not finite: this is a fault of bevy_smoke, please report the scene"
+        );
         match self {
             Self::Exr => encode_rgba(width as usize, height as usize, pixels),
             Self::Png => {

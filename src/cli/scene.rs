@@ -9,6 +9,7 @@ use anyhow::{Context, anyhow, ensure};
 use glam::DVec3;
 use serde_json::{Map, Value};
 
+use crate::density::{GridShape, Placement};
 use crate::sh::{ShRgb, SphereRule};
 
 /// Everything `smoke render` needs to know beside the smoke itself.
@@ -26,6 +27,8 @@ pub struct Scene {
     pub g: f64,
     /// Light from infinitely far away.
     pub environment: Environment,
+    /// Sharp lights, which may be inside the smoke.
+    pub lights: Vec<SceneLight>,
     /// The pinhole camera.
     pub camera: SceneCamera,
 }
@@ -62,6 +65,40 @@ pub struct Lobe {
     pub rgb: DVec3,
 }
 
+/// A sharp light. Directions are unit vectors, lengths in metres, angles in degrees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SceneLight {
+    /// A distant disc of constant radiance.
+    Sun {
+        /// Toward the sun.
+        direction: DVec3,
+        /// RGB irradiance on a surface that faces it.
+        irradiance: DVec3,
+        /// Its diameter, 0 to 179; 0 is a direction alone.
+        angle_deg: f64,
+    },
+    /// A point that shines the same in all directions.
+    Point {
+        /// Where it is.
+        position: DVec3,
+        /// RGB intensity in radiance units × m²: irradiance is `intensity`/d² at distance d.
+        intensity: DVec3,
+    },
+    /// A point that shines in a cone, as Bevy's spot lights do.
+    Spot {
+        /// Where it is.
+        position: DVec3,
+        /// Along which it shines.
+        direction: DVec3,
+        /// RGB intensity within the inner cone, as of a point.
+        intensity: DVec3,
+        /// Half-angle of the cone of full intensity, 0 to `outer_deg`.
+        inner_deg: f64,
+        /// Half-angle beyond which there is no light, 0.01 to 90.
+        outer_deg: f64,
+    },
+}
+
 /// A pinhole camera with +Y up; the picture's top row comes first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneCamera {
@@ -73,6 +110,28 @@ pub struct SceneCamera {
     pub fov_y_deg: f64,
     /// Width and height in pixels.
     pub size: [u32; 2],
+}
+
+impl ScenePlacement {
+    /// World position of the centre of a box of cells, and the world length of its longest side.
+    pub fn center_and_side(self, shape: GridShape, file: Placement) -> (DVec3, f64) {
+        match self {
+            Self::File => (file.center, file.voxel_size * f64::from(shape.longest())),
+            Self::Width(width) => (DVec3::ZERO, width),
+        }
+    }
+}
+
+impl SceneCamera {
+    /// Direction from the eye through a point of a picture of `size`, in pixels from its top left corner.
+    pub fn direction(&self, size: [u32; 2], x: f64, y: f64) -> DVec3 {
+        let forward = (self.target - self.eye).normalize();
+        let right = forward.cross(DVec3::Y).normalize();
+        let [width, height] = size.map(f64::from);
+        let half_height = (0.5 * self.fov_y_deg).to_radians().tan();
+        let (across, up) = ((2.0 * x - width) / height * half_height, (1.0 - 2.0 * y / height) * half_height);
+        (forward + right * across + right.cross(forward) * up).normalize()
+    }
 }
 
 impl Environment {
@@ -131,6 +190,11 @@ impl Scene {
                 Ok(g)
             })?,
             environment: environment(top.nested("env")?, &mut warnings)?,
+            lights: top
+                .optional_list("lights")?
+                .into_iter()
+                .map(|keys| light(keys, &mut warnings))
+                .collect::<anyhow::Result<_>>()?,
             camera: SceneCamera {
                 eye: top.required("eye", vector)?,
                 target: top.required("target", vector)?,
@@ -148,7 +212,7 @@ impl Scene {
             view.normalize().cross(DVec3::Y).length() > 1e-6,
             "target: straight above or below eye, where +Y cannot be up in the picture"
         );
-        top.unused(&["lights", "plane", "spheres"], &mut warnings);
+        top.unused(&["plane", "spheres"], &mut warnings);
         Ok((scene, warnings))
     }
 }
@@ -161,8 +225,7 @@ fn environment(mut keys: Keys, warnings: &mut Vec<String>) -> anyhow::Result<Env
                 .list("lobes")?
                 .into_iter()
                 .map(|mut lobe| {
-                    let direction =
-                        lobe.required("dir", |v| vector(v)?.try_normalize().ok_or_else(|| anyhow!("not a direction")))?;
+                    let direction = lobe.required("dir", direction)?;
                     let rgb = lobe.required("rgb", color)?;
                     lobe.unused(&[], warnings);
                     Ok(Lobe { direction, rgb })
@@ -177,6 +240,32 @@ fn environment(mut keys: Keys, warnings: &mut Vec<String>) -> anyhow::Result<Env
     };
     keys.unused(&[], warnings);
     Ok(environment)
+}
+
+fn light(mut keys: Keys, warnings: &mut Vec<String>) -> anyhow::Result<SceneLight> {
+    let light = match keys.required("kind", text_value)?.as_str() {
+        "sun" => SceneLight::Sun {
+            direction: keys.required("dir", direction)?,
+            irradiance: keys.required("irradiance", color)?,
+            angle_deg: keys.optional("angle_deg", |v| degrees(v, 0.0, 179.0))?.unwrap_or(0.0),
+        },
+        "point" => {
+            SceneLight::Point { position: keys.required("pos", vector)?, intensity: keys.required("intensity", color)? }
+        }
+        "spot" => {
+            let outer_deg = keys.required("outer_deg", |v| degrees(v, 0.01, 90.0))?;
+            SceneLight::Spot {
+                position: keys.required("pos", vector)?,
+                direction: keys.required("dir", direction)?,
+                intensity: keys.required("intensity", color)?,
+                inner_deg: keys.required("inner_deg", |v| degrees(v, 0.0, outer_deg))?,
+                outer_deg,
+            }
+        }
+        other => return Err(anyhow!("{}kind: \"{other}\" is none of \"sun\", \"point\", \"spot\"", keys.prefix)),
+    };
+    keys.unused(&[], warnings);
+    Ok(light)
 }
 
 /// The keys of a JSON object, and which of them have been read.
@@ -228,6 +317,10 @@ impl<'a> Keys<'a> {
         items.iter().enumerate().map(keys).collect()
     }
 
+    fn optional_list(&mut self, key: &'static str) -> anyhow::Result<Vec<Keys<'a>>> {
+        if self.object.contains_key(key) { self.list(key) } else { Ok(Vec::new()) }
+    }
+
     /// Warns of every key that nobody asked for.
     fn unused(&self, planned: &[&str], warnings: &mut Vec<String>) {
         for key in self.object.keys().filter(|key| !self.read.contains(&key.as_str())) {
@@ -276,8 +369,23 @@ fn vector(value: &Value) -> anyhow::Result<DVec3> {
     Ok(DVec3::from(triple(value, number)?))
 }
 
+fn direction(value: &Value) -> anyhow::Result<DVec3> {
+    vector(value)?.try_normalize().ok_or_else(|| anyhow!("not a direction"))
+}
+
+/// Three numbers, or one for all three.
 fn color(value: &Value) -> anyhow::Result<DVec3> {
-    Ok(DVec3::from(triple(value, not_negative)?))
+    match value {
+        Value::Array(_) => Ok(triple(value, not_negative)?.into()),
+        Value::Number(_) => Ok(DVec3::splat(not_negative(value)?)),
+        _ => Err(anyhow!("{value} is neither a number nor three, [r, g, b]")),
+    }
+}
+
+fn degrees(value: &Value, low: f64, high: f64) -> anyhow::Result<f64> {
+    let degrees = number(value)?;
+    ensure!((low..=high).contains(&degrees), "{degrees} is not between {low} and {high} degrees");
+    Ok(degrees)
 }
 
 fn picture_size(value: &Value) -> anyhow::Result<[u32; 2]> {

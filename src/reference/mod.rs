@@ -5,8 +5,9 @@
 //! is extinction per bundle unit, σ_t times the world length of the box's longest side.
 //!
 //! Beside the passes: [`single`], single scattering without any of the method's approximations, [`path`], a path tracer
-//! for any number of scattering events, [`paper`], the method of Zhou et al. 2008 as printed, [`diffusion`], its diffusion
-//! equation put right and solved on a grid, [`sphere`], which tells the two apart, and [`compare`], the error of an image.
+//! for any number of scattering events and any light, [`paper`], the method of Zhou et al. 2008 as printed, [`diffusion`],
+//! its diffusion equation put right and solved on a grid, [`sphere`], which tells the two apart, and [`compare`], the error
+//! of an image.
 
 pub mod coarse;
 pub mod compare;
@@ -20,6 +21,7 @@ pub mod single;
 pub mod source_radiance;
 pub mod sphere;
 pub mod taylor;
+pub mod transport;
 pub mod view;
 pub mod volume;
 

@@ -39,15 +39,31 @@ pub fn probes(rbf: &Rbf) -> [DVec3; 4] {
     TETRAHEDRON.map(|t| rbf_center(rbf) + t * (RHO * f64::from(rbf.radius)))
 }
 
-/// L_d at `p`: attenuated radiance by the direction it comes from, from `directions` fixed directions.
-pub fn direct_light(p: DVec3, coarse: &Grid, lighting: &Lighting, sigma: f64, directions: usize) -> ShRgb {
-    let mut sh = ShRgb::default();
+/// Light that reaches a point through the smoke, from outside it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Incident {
+    /// L_d: attenuated radiance by the direction it comes from.
+    pub light: ShRgb,
+    /// τ̄: the mean transmittance from the point to infinity over all directions, 0 to 1 per channel.
+    pub escape: DVec3,
+}
+
+/// L_d and τ̄ at `p`, from `directions` fixed directions; `sigma` is extinction per channel.
+pub fn incident(p: DVec3, coarse: &Grid, lighting: &Lighting, sigma: DVec3, directions: usize) -> Incident {
+    let mut incident = Incident::default();
     for dir in fibonacci(directions) {
         let radiance = lighting.environment.evaluate(lighting.env_from_local * dir);
         let depth = sigma * column(p, dir, coarse);
-        sh.accumulate(dir, radiance * (transmittance(depth) * 4.0 * PI / directions as f64));
+        let share = depth.map(transmittance) / directions as f64;
+        incident.light.accumulate(dir, radiance * share * (4.0 * PI));
+        incident.escape += share;
     }
-    sh
+    incident
+}
+
+/// L_d at `p`: attenuated radiance by the direction it comes from, from `directions` fixed directions.
+pub fn direct_light(p: DVec3, coarse: &Grid, lighting: &Lighting, sigma: f64, directions: usize) -> ShRgb {
+    incident(p, coarse, lighting, DVec3::splat(sigma), directions).light
 }
 
 /// ∫ of the coarse density from `p` along `dir` to where it ends, half a cell outside its box.

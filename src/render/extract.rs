@@ -1,22 +1,27 @@
 //! What the render world takes of smoke from the main world, every frame.
 
 use bevy::asset::AssetId;
+use bevy::camera::visibility::RenderLayers;
+use bevy::light::RectLight;
 use bevy::math::Affine3A;
 use bevy::platform::collections::HashMap;
 use bevy::prelude::*;
 use bevy::render::Extract;
 use bevy::render::sync_world::MainEntity;
 
+use super::lamp::Lamp;
 use crate::bundle::SmokeAnimation;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
+use crate::scattering::SmokeScattering;
 use crate::volume::SmokeVolume;
 
-/// The smoke in the scene, and the environment maps of its cameras.
+/// The smoke in the scene, and what lights it.
 #[derive(Resource, Default)]
 pub(super) struct ExtractedSmoke {
     pub volumes: HashMap<MainEntity, ExtractedVolume>,
     pub camera_environments: HashMap<MainEntity, CameraEnvironment>,
+    pub lamps: Vec<Lamp>,
 }
 
 /// A volume as the render world sees it.
@@ -26,23 +31,54 @@ pub(super) struct ExtractedVolume {
     pub world_from_bundle: Affine3A,
     pub medium: SmokeMedium,
     pub environment: SmokeEnvironment,
+    pub scattering: SmokeScattering,
+    pub layers: RenderLayers,
+}
+
+/// The light from all around that a camera sees.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) struct CameraEnvironment {
+    pub map: Option<CameraMap>,
+    /// Bevy's ambient light, cd/m².
+    pub ambient: Vec3,
 }
 
 /// A camera's environment map.
-#[derive(Clone)]
-pub(super) struct CameraEnvironment {
+#[derive(Clone, Copy, PartialEq)]
+pub(super) struct CameraMap {
     pub image: AssetId<Image>,
     pub intensity: f32,
     pub rotation: Quat,
 }
 
+type LampQuery<'w, 's, L> = Query<
+    'w,
+    's,
+    (Entity, &'static L, &'static GlobalTransform, &'static InheritedVisibility, Option<&'static RenderLayers>),
+>;
+
 pub(super) fn extract_smoke(
     mut smoke: ResMut<ExtractedSmoke>,
-    volumes: Extract<Query<(Entity, &SmokeVolume, &SmokeMedium, &SmokeEnvironment, &GlobalTransform)>>,
-    cameras: Extract<Query<(Entity, &EnvironmentMapLight), With<Camera3d>>>,
+    volumes: Extract<
+        Query<(
+            Entity,
+            &SmokeVolume,
+            &SmokeMedium,
+            &SmokeEnvironment,
+            &SmokeScattering,
+            &GlobalTransform,
+            Option<&RenderLayers>,
+        )>,
+    >,
+    cameras: Extract<Query<(Entity, Option<&EnvironmentMapLight>, Option<&AmbientLight>), With<Camera3d>>>,
+    ambient: Extract<Option<Res<GlobalAmbientLight>>>,
+    suns: Extract<LampQuery<DirectionalLight>>,
+    points: Extract<LampQuery<PointLight>>,
+    spots: Extract<LampQuery<SpotLight>>,
+    areas: Extract<Query<(), With<RectLight>>>,
 ) {
     smoke.volumes.clear();
-    for (entity, volume, medium, environment, transform) in &volumes {
+    for (entity, volume, medium, environment, scattering, transform, layers) in &volumes {
         let clamped = medium.clamped();
         if clamped != *medium {
             warn_once!("{medium:?} of smoke volume {entity} is out of range: it is drawn as {clamped:?} (said once)");
@@ -53,13 +89,37 @@ pub(super) fn extract_smoke(
             world_from_bundle: transform.affine(),
             medium: clamped,
             environment: environment.clone(),
+            scattering: *scattering,
+            layers: layers.cloned().unwrap_or_default(),
         };
         smoke.volumes.insert(entity.into(), extracted);
     }
     smoke.camera_environments.clear();
-    for (entity, light) in &cameras {
-        let environment =
-            CameraEnvironment { image: light.specular_map.id(), intensity: light.intensity, rotation: light.rotation };
-        smoke.camera_environments.insert(entity.into(), environment);
+    smoke.lamps.clear();
+    if smoke.volumes.is_empty() {
+        return;
     }
+    let global = ambient.as_ref().map_or(Vec3::ZERO, |light| radiance(light.color, light.brightness));
+    for (entity, map, ambient) in &cameras {
+        let map = map.map(|light| CameraMap {
+            image: light.specular_map.id(),
+            intensity: light.intensity,
+            rotation: light.rotation,
+        });
+        let ambient = ambient.map_or(global, |light| radiance(light.color, light.brightness));
+        smoke.camera_environments.insert(entity.into(), CameraEnvironment { map, ambient });
+    }
+    let seen = |visibility: &InheritedVisibility| visibility.get();
+    let suns = suns.iter().filter(|lamp| seen(lamp.3)).map(|(e, l, at, _, layers)| Lamp::sun(e, l, at, layers));
+    let points = points.iter().filter(|lamp| seen(lamp.3)).map(|(e, l, at, _, layers)| Lamp::point(e, l, at, layers));
+    let spots = spots.iter().filter(|lamp| seen(lamp.3)).map(|(e, l, at, _, layers)| Lamp::spot(e, l, at, layers));
+    smoke.lamps.extend(suns.chain(points).chain(spots));
+    if !areas.is_empty() {
+        warn_once!("smoke is not lit by RectLights: put a PointLight or SpotLight beside them (said once)");
+    }
+}
+
+fn radiance(color: Color, brightness: f32) -> Vec3 {
+    let color = color.to_linear();
+    Vec3::new(color.red, color.green, color.blue) * brightness
 }

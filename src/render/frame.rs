@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use bevy::asset::AssetId;
 use bevy::ecs::system::SystemParamItem;
 use bevy::ecs::system::lifetimeless::SRes;
+use bevy::math::DVec3;
 use bevy::prelude::*;
 use bevy::render::render_asset::{PrepareAssetError, RenderAsset};
 use bevy::render::render_resource::{
@@ -13,9 +14,10 @@ use bevy::render::render_resource::{
 };
 use bevy::render::renderer::{RenderDevice, RenderQueue};
 
-use super::source_radiance::PROBES;
+use super::incident_light::PROBE_BYTES;
 use crate::bundle::{SmokeAnimation, SmokeFrame};
 use crate::density::GridShape;
+use crate::optics::gaussian_column;
 use crate::rbf::{Rbf, RbfBins};
 
 /// Format of [`GpuSmokeFrame::density`]: read texel by texel, at full precision.
@@ -34,6 +36,8 @@ pub struct GpuSmokeAnimation {
 /// One frame on the GPU.
 pub(super) struct GpuSmokeFrame {
     pub rbf_count: u32,
+    /// Density columns in all directions from within the smoke, scaled density times bundle length: a sample.
+    columns: Vec<f32>,
     pub uniform: Buffer,
     pub rbfs: Buffer,
     pub bin_offsets: Buffer,
@@ -88,6 +92,7 @@ impl GpuSmokeFrame {
         let coarse = shape.coarse();
         Self {
             rbf_count: rbfs.len() as u32,
+            columns: sample_columns(rbfs, max_density),
             uniform: uniform(device, queue, "smoke_frame", frame_uniform(shape, frame, &bins, max_density)),
             rbfs: rbf_buffer(device, rbfs),
             bin_offsets: storage(device, "smoke_bin_offsets", &bins.offsets),
@@ -101,10 +106,32 @@ impl GpuSmokeFrame {
         }
     }
 
+    /// The probability that light which has scattered meets smoke again, for an extinction per bundle unit and scaled
+    /// density: the mean of 1 − transmittance from within the smoke, an estimate.
+    pub fn chance_to_meet_again(&self, sigma: f32) -> f32 {
+        let met: f32 = self.columns.iter().map(|column| -(-sigma * column).exp_m1()).sum();
+        met / self.columns.len().max(1) as f32
+    }
+
     /// True the first time it is asked: then the density passes must run.
     pub fn take_unpacking(&self) -> bool {
         !self.unpacked.swap(true, Ordering::Relaxed)
     }
+}
+
+/// Columns along the axes from the centres of RBFs, spread over the list.
+fn sample_columns(rbfs: &[Rbf], max_density: f32) -> Vec<f32> {
+    const CENTERS: usize = 24;
+    let from = rbfs.iter().step_by(rbfs.len().div_ceil(CENTERS).max(1));
+    let center = |rbf: &Rbf| Vec3::from(rbf.center).as_dvec3();
+    from.flat_map(|from| DVec3::AXES.into_iter().flat_map(|axis| [axis, -axis]).map(move |dir| (center(from), dir)))
+        .map(|(from, dir)| {
+            let columns = rbfs.iter().map(|rbf| {
+                gaussian_column(from, dir, center(rbf), rbf.radius.into(), (rbf.weight / max_density).into())
+            });
+            columns.sum::<f64>() as f32
+        })
+        .collect()
 }
 
 fn frame_uniform(shape: GridShape, frame: &SmokeFrame, bins: &RbfBins, max_density: f32) -> FrameUniform {
@@ -210,7 +237,7 @@ fn fits(shape: GridShape, frame: &SmokeFrame, device: &RenderDevice) -> Result<(
     }
     let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
     let (rbfs, residual) = (&frame.rbfs.rbfs, &frame.residual);
-    let probes = rbfs.len() as u64 * u64::from(PROBES) * 16 * 16;
+    let probes = rbfs.len() as u64 * PROBE_BYTES;
     let largest = [
         ("probes", probes),
         ("bins", 4 * RbfBins::entry_bound(rbfs, shape)),

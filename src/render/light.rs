@@ -22,7 +22,7 @@ use crate::lighting::{EnvironmentCoefficients, SmokeEnvironment, magnitude};
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) struct LightKey {
     environment: EnvironmentKey,
-    /// Cameras may turn the same image differently: the first of those that turn it this way. None for a volume's own.
+    /// Cameras may see different light from all around: the first of those that see this. None for a volume's own.
     owner: Option<MainEntity>,
 }
 
@@ -43,6 +43,7 @@ pub(super) struct Light {
     content: Content,
     environment_from_world: Mat3,
     intensity: f32,
+    ambient: Vec3,
 }
 
 #[derive(Clone, Copy)]
@@ -62,7 +63,10 @@ pub(super) struct Lit<'a> {
     /// Counts the changes of the coefficients.
     pub version: u32,
     pub environment_from_world: Mat3,
+    /// What the environment's values are to be multiplied by, to give cd/m².
     pub intensity: f32,
+    /// Radiance from everywhere on top of it, cd/m².
+    pub ambient: Vec3,
 }
 
 impl Light {
@@ -94,20 +98,24 @@ impl Light {
 
     fn of_camera(entity: MainEntity, view: &ExtractedView, smoke: &ExtractedSmoke) -> Option<Self> {
         let camera = view.retained_view_entity.main_entity;
-        let Some(environment) = smoke.camera_environments.get(&camera) else {
-            warn_once!(
-                "smoke volume {entity:?} is lit by the camera's environment map, but a camera that sees it has no \
-                 EnvironmentMapLight: the smoke is black there; add one, or give the volume a SmokeEnvironment (said \
-                 once)"
-            );
-            return Some(Self::coefficients(EnvironmentKey::Black, &[Vec3::ZERO; 16], 1.0));
-        };
-        let same = smoke
-            .camera_environments
-            .iter()
-            .filter(|(_, other)| other.image == environment.image && other.rotation == environment.rotation);
+        let environment = smoke.camera_environments.get(&camera)?;
+        let same = smoke.camera_environments.iter().filter(|(_, other)| *other == environment);
         let owner = same.map(|(camera, _)| *camera).min();
-        Self::image(environment.image, true, owner, environment.intensity, environment.rotation)
+        let light = match environment.map {
+            Some(map) => Self::image(map.image, true, owner, map.intensity, map.rotation)?,
+            None => {
+                if environment.ambient == Vec3::ZERO && smoke.lamps.is_empty() {
+                    warn_once!(
+                        "smoke volume {entity:?} is lit by what lights the camera's scene, but a camera that sees it has \
+                         no EnvironmentMapLight, no ambient light and no lights: the smoke is black there; add one, or \
+                         give the volume a SmokeEnvironment (said once)"
+                    );
+                }
+                let black = Self::coefficients(EnvironmentKey::Black, &[Vec3::ZERO; 16], 1.0);
+                Self { key: LightKey { owner, ..black.key }, ..black }
+            }
+        };
+        Some(Self { ambient: environment.ambient, ..light })
     }
 
     fn image(
@@ -125,6 +133,7 @@ impl Light {
             content: Content::Image { id, cube },
             environment_from_world: Mat3::from_quat(rotation.inverse()),
             intensity,
+            ambient: Vec3::ZERO,
         })
     }
 
@@ -136,6 +145,7 @@ impl Light {
             content: Content::Coefficients(coefficients.map(|c| c / scale)),
             environment_from_world: Mat3::IDENTITY,
             intensity: intensity * scale,
+            ambient: Vec3::ZERO,
         }
     }
 
@@ -144,7 +154,7 @@ impl Light {
             Content::Coefficients(coefficients) => coefficients.iter().all(|c| c.is_finite()),
             Content::Image { .. } => true,
         };
-        content && self.intensity.is_finite()
+        content && self.intensity.is_finite() && self.ambient.is_finite()
     }
 }
 
@@ -225,6 +235,7 @@ impl Environments {
             version: environment.version,
             environment_from_world: light.environment_from_world,
             intensity: light.intensity,
+            ambient: light.ambient,
         })
     }
 }

@@ -4,10 +4,12 @@
 //! |---|---|---|---|
 //! | `environment` | a radiance image | 16 SH coefficients | environment |
 //! | `density` | RBFs, bins, hashed residual | density of every cell | frame of smoke |
-//! | `coarse` | density | density of a 32³ grid | frame of smoke |
-//! | `source_radiance` | coefficients, RBFs, coarse density | SH source radiance at 4 probes an RBF | volume and environment |
-//! | `outgoing` | probes | mean and gradient of the radiance toward the eye, an RBF | the same, × view if g ≠ 0 |
-//! | `volume` | those, RBFs, bins, density | 3D texture of source radiance and density | the same |
+//! | `coarse` | density | density of a 64³ grid | frame of smoke |
+//! | `pair_matrix` | RBFs, coarse density | how much each RBF sees of each other | frame of smoke and extinction |
+//! | `incident_light` | coefficients, lamps, RBFs, coarse density | SH light and columns to the lamps at 7 probes an RBF | volume and light |
+//! | `scattering` | pair matrix, light at the probes | SH light that each RBF sees of the others | the same |
+//! | `outgoing` | light at the probes, scattered light | quadratic fit of the radiance toward the eye, an RBF | the same, × view if g ≠ 0 |
+//! | `volume` | those, lamps, RBFs, bins, density | 3D texture of source radiance and density | the same |
 //! | `view` | the 3D texture, the view's depth | the view's colours | view |
 //!
 //! All but the last are compute passes in Bevy's `RenderGraph` schedule, before the cameras' own, and run only when
@@ -21,12 +23,18 @@ mod coarse;
 mod density;
 mod environment;
 mod extract;
+mod footprint;
 mod frame;
+mod incident_light;
+mod lamp;
 mod light;
+mod lighting;
+mod lit;
 mod outgoing;
+mod pair_matrix;
 mod pass;
 mod prepare;
-mod source_radiance;
+mod scattering;
 mod stats;
 #[cfg(all(test, feature = "cli"))]
 mod tests;
@@ -44,7 +52,11 @@ use bevy::render::{ExtractSchedule, GpuResourceAppExt, Render, RenderApp, Render
 
 use self::environment::{EnvironmentJob, EnvironmentPass};
 pub use self::frame::GpuSmokeAnimation;
+#[cfg(feature = "cli")]
+pub(crate) use self::incident_light::PROBES;
 use self::pass::{ComputePass, Job};
+pub use self::scattering::SolverReport;
+use self::scattering::{ScatteringJob, ScatteringPass};
 pub use self::stats::SmokeRenderStats;
 use crate::shaders::{self, Shaders};
 use crate::volume::SmokeVolume;
@@ -100,7 +112,9 @@ impl Plugin for SmokeRenderPlugin {
                     environment::environment,
                     density::density,
                     coarse::coarse,
-                    source_radiance::source_radiance,
+                    pair_matrix::pair_matrix,
+                    incident_light::incident_light,
+                    scattering::scattering,
                     outgoing::outgoing,
                     volume::volume,
                 )
@@ -127,15 +141,18 @@ pub(crate) struct SmokePasses {
     environment: EnvironmentPass,
     density: ComputePass,
     coarse: ComputePass,
-    source_radiance: ComputePass,
+    pair_matrix: ComputePass,
+    incident_light: ComputePass,
+    scattering: ScatteringPass,
     outgoing: ComputePass,
     volume: ComputePass,
 }
 
 impl SmokePasses {
     fn all(&self) -> impl Iterator<Item = &ComputePass> {
-        let others = [&self.density, &self.coarse, &self.source_radiance, &self.outgoing, &self.volume];
-        self.environment.passes().into_iter().chain(others)
+        let others =
+            [&self.density, &self.coarse, &self.pair_matrix, &self.incident_light, &self.outgoing, &self.volume];
+        self.environment.passes().into_iter().chain(self.scattering.passes()).chain(others)
     }
 
     /// Whether every pipeline is there.
@@ -160,11 +177,23 @@ fn init_passes(
         environment: EnvironmentPass::new(&shaders.environment, &cache),
         density: density::pass(&shaders.density, &cache),
         coarse: coarse::pass(&shaders.coarse, &cache),
-        source_radiance: source_radiance::pass(&shaders.source_radiance, &cache),
+        pair_matrix: pair_matrix::pass(&shaders.pair_matrix, &cache),
+        incident_light: incident_light::pass(&shaders.incident_light, &cache),
+        scattering: ScatteringPass::new(&shaders, &cache),
         outgoing: outgoing::pass(&shaders.outgoing, &cache),
         volume: volume::pass(&shaders.volume, &cache),
     });
     commands.insert_resource(view::ViewPass::new(&shaders.view));
+}
+
+/// What the solvers did last, read back from the GPU.
+#[cfg(feature = "cli")]
+pub(crate) fn read_solver_reports(render_world: &World) -> Vec<SolverReport> {
+    let (device, queue) = (render_world.resource::<RenderDevice>(), render_world.resource());
+    let controls = render_world.resource::<prepare::SmokeCache>().solver_controls();
+    controls
+        .filter_map(|buffer| SolverReport::from_bytes(&crate::headless::read_buffer(device, queue, buffer)))
+        .collect()
 }
 
 /// What the passes need beyond what every device has; on failure, what is missing.
@@ -173,7 +202,7 @@ fn check_device(device: &RenderDevice, adapter: &RenderAdapter) -> Result<(), &'
     let flags = adapter.get_downlevel_capabilities().flags;
     let needs = [
         (flags.contains(DownlevelFlags::COMPUTE_SHADERS), "compute shaders"),
-        (limits.max_storage_buffers_per_shader_stage >= 6, "6 storage buffers a shader"),
+        (limits.max_storage_buffers_per_shader_stage >= 8, "8 storage buffers a shader"),
         (limits.max_storage_textures_per_shader_stage >= 1, "storage textures"),
         (limits.max_compute_workgroup_storage_size >= 16_384, "16 KiB of memory a workgroup"),
         (limits.max_compute_invocations_per_workgroup >= 256, "256 threads a workgroup"),
@@ -187,7 +216,9 @@ pub(crate) struct SmokeWork {
     environment: Vec<EnvironmentJob>,
     density: Vec<Job>,
     coarse: Vec<Job>,
-    source_radiance: Vec<Job>,
+    pair_matrix: Vec<Job>,
+    incident_light: Vec<Job>,
+    scattering: Vec<ScatteringJob>,
     outgoing: Vec<Job>,
     volume: Vec<Job>,
 }

@@ -6,33 +6,31 @@
 //! |---|---|---|
 //! | [`Environments`] | environment | its image or coefficients |
 //! | [`GpuSmokeFrame`](super::frame::GpuSmokeFrame) | frame of smoke | the asset |
-//! | [`LitVolume`] | volume × environment | the two above, the medium, the volume's rotation and scale |
-//! | [`SlicedVolume`] | lit volume, × view where the phase function is not isotropic | the lit volume; the eye in bundle space |
+//! | [`LitVolume`] | volume × environment | the two above, the medium, the volume's rotation and scale, lamps |
+//! | [`SlicedVolume`](super::lit::SlicedVolume) | lit volume, × view where the phase function is not isotropic | the lit volume; the eye in bundle space |
 
 use bevy::math::{Affine3A, Vec3A};
 use bevy::platform::collections::HashMap;
 use bevy::prelude::*;
 use bevy::render::camera::ExtractedCamera;
 use bevy::render::render_asset::{ExtractedAssets, RenderAssets};
-use bevy::render::render_resource::encase::internal::WriteInto;
-use bevy::render::render_resource::{
-    AddressMode, BindGroup, Buffer, BufferDescriptor, BufferId, BufferUsages, FilterMode, PipelineCache, Sampler,
-    SamplerDescriptor, ShaderType, TextureView, UniformBuffer,
-};
+use bevy::render::render_resource::{AddressMode, Buffer, FilterMode, PipelineCache, Sampler, SamplerDescriptor};
 use bevy::render::renderer::{RenderDevice, RenderQueue};
 use bevy::render::sync_world::MainEntity;
 use bevy::render::texture::GpuImage;
-use bevy::render::view::{ExtractedView, RenderVisibleEntities, RetainedViewEntity};
+use bevy::render::view::{ExtractedView, RenderVisibleEntities};
 
 use super::extract::{ExtractedSmoke, ExtractedVolume};
-use super::frame::{FILTERED_FORMAT, GpuSmokeAnimation, GpuSmokeFrame, texture_3d};
+use super::footprint::Footprints;
+use super::frame::{GpuSmokeAnimation, GpuSmokeFrame};
+use super::lamp::lamps_of;
 use super::light::{Environments, Light, LightKey, Lit};
-use super::outgoing::{LookUniform, OUTGOING_BYTES};
-use super::pass::Job;
-use super::source_radiance::{LightingUniform, PROBES};
+use super::lighting::LightingUniform;
+use super::lit::{FrameLight, LitVolume};
 use super::view::{SmokeUniform, ViewPass, ViewSmoke, ViewSmokeVolume};
-use super::{SmokePasses, SmokeWork, coarse, density, outgoing, source_radiance, volume};
+use super::{SmokePasses, SmokeRenderStats, SmokeWork, coarse, density};
 use crate::density::GridShape;
+use crate::scattering::{ScatteringChoice, ScatteringEvents};
 use crate::volume::SmokeVolume;
 
 /// Frames that computed state is kept while nobody looks at it.
@@ -44,13 +42,19 @@ pub(super) struct SmokeCache {
     frame: u32,
     environments: Environments,
     volumes: HashMap<(MainEntity, LightKey), LitVolume>,
-    sampler: Option<Sampler>,
+    shared: Option<Shared>,
+}
+
+/// What all volumes share.
+struct Shared {
+    sampler: Sampler,
+    footprints: Buffer,
 }
 
 #[cfg(all(test, feature = "cli"))]
 impl SmokeCache {
     /// The one 3D texture there is.
-    pub fn only_texture(&self) -> &TextureView {
+    pub fn only_texture(&self) -> &bevy::render::render_resource::TextureView {
         let mut sliced = self.volumes.values().flat_map(|volume| volume.sliced.values());
         let texture = &sliced.next().expect("a volume has been drawn").texture;
         assert!(sliced.next().is_none(), "more than one volume has been drawn");
@@ -58,63 +62,11 @@ impl SmokeCache {
     }
 }
 
-/// A volume lit by an environment: its probes.
-struct LitVolume {
-    frame: BufferId,
-    environment_version: u32,
-    uniform: Cached<LightingUniform>,
-    probes: Buffer,
-    bind_group: BindGroup,
-    /// Counts the changes.
-    version: u32,
-    last_used: u32,
-    sliced: HashMap<Option<RetainedViewEntity>, SlicedVolume>,
-}
-
-/// A lit volume as an eye sees it: its 3D texture.
-struct SlicedVolume {
-    look: Cached<LookUniform>,
-    lit_version: u32,
-    texture: TextureView,
-    outgoing: BindGroup,
-    volume: BindGroup,
-    last_used: u32,
-    seen: HashMap<RetainedViewEntity, SeenVolume>,
-}
-
-/// A 3D texture as one view draws it.
-struct SeenVolume {
-    uniform: Cached<SmokeUniform>,
-    bind_group: BindGroup,
-    last_used: u32,
-}
-
-/// A uniform buffer that knows what is in it.
-struct Cached<T: ShaderType + WriteInto + Clone + PartialEq> {
-    value: T,
-    buffer: UniformBuffer<T>,
-}
-
-impl<T: ShaderType + WriteInto + Clone + PartialEq> Cached<T> {
-    fn new(value: T, gpu: &Gpu) -> Self {
-        let mut buffer = UniformBuffer::from(value.clone());
-        buffer.write_buffer(gpu.device, gpu.queue);
-        Self { value, buffer }
-    }
-
-    /// Stores a value; whether it is another than before.
-    fn set(&mut self, value: T, gpu: &Gpu) -> bool {
-        if self.value == value {
-            return false;
-        }
-        self.buffer.set(value.clone());
-        self.buffer.write_buffer(gpu.device, gpu.queue);
-        self.value = value;
-        true
-    }
-
-    fn buffer(&self) -> &Buffer {
-        self.buffer.buffer().expect("written when it was made")
+#[cfg(feature = "cli")]
+impl SmokeCache {
+    /// The reports of the solvers of all volumes, as buffers on the GPU.
+    pub fn solver_controls(&self) -> impl Iterator<Item = &Buffer> {
+        self.volumes.values().filter_map(LitVolume::control)
     }
 }
 
@@ -124,8 +76,9 @@ pub(super) struct Gpu<'a> {
     pub queue: &'a RenderQueue,
     pub cache: &'a PipelineCache,
     pub passes: &'a SmokePasses,
-    view_pass: &'a ViewPass,
+    pub view_pass: &'a ViewPass,
     pub sampler: &'a Sampler,
+    pub footprints: &'a Buffer,
 }
 
 /// Lists this frame's work, and every view's volumes from far to near.
@@ -141,16 +94,26 @@ pub(super) fn prepare_smoke(
     queue: Res<RenderQueue>,
     pipelines: Res<PipelineCache>,
     changed_images: Res<ExtractedAssets<GpuImage>>,
-    (passes, view_pass): (Res<SmokePasses>, Res<ViewPass>),
+    (passes, view_pass, stats): (Res<SmokePasses>, Res<ViewPass>, Res<SmokeRenderStats>),
 ) {
     work.clear();
     let ready = passes.are_ready(&pipelines);
-    let SmokeCache { frame: now, environments, volumes, sampler } = &mut *smoke_cache;
+    let SmokeCache { frame: now, environments, volumes, shared } = &mut *smoke_cache;
     *now = now.wrapping_add(1);
     environments.begin(*now, changed_images.added.iter().chain(&changed_images.modified));
-    let sampler = sampler.get_or_insert_with(|| linear_sampler(&device));
-    let gpu =
-        Gpu { device: &device, queue: &queue, cache: &pipelines, passes: &passes, view_pass: &view_pass, sampler };
+    let Shared { sampler, footprints } = shared.get_or_insert_with(|| Shared {
+        sampler: linear_sampler(&device),
+        footprints: Footprints::buffer(&device, &queue),
+    });
+    let gpu = Gpu {
+        device: &device,
+        queue: &queue,
+        cache: &pipelines,
+        passes: &passes,
+        view_pass: &view_pass,
+        sampler,
+        footprints,
+    };
 
     for (view_entity, view, camera, visible) in &views {
         let mut drawn = Vec::new();
@@ -179,16 +142,27 @@ pub(super) fn prepare_smoke(
                 work.coarse.push(coarse::job(&passes.coarse, animation.shape, frame, &device, &pipelines));
             }
 
-            let uniform = placed.lighting(volume, &lit);
+            let key = (volume_entity, lit.key);
+            let before = volumes.get(&key).map(|volume| volume.choice.multiple);
+            let choice = placed.choose_scattering(volume, frame, before, &device);
+            stats.set_scattering(volume_entity, choice);
+            let (uniform, unit) = placed.lighting(volume, &lit, &smoke, choice.multiple);
+            let light = FrameLight {
+                coefficients: lit.coefficients,
+                environment_version: lit.version,
+                uniform,
+                choice,
+                tolerance: volume.scattering.clamped_tolerance(),
+            };
             let lit_volume = volumes
-                .entry((volume_entity, lit.key))
+                .entry(key)
                 .and_modify(|v| {
-                    if v.frame != frame.uniform.id() {
-                        *v = LitVolume::new(frame, &lit, uniform.clone(), &gpu);
+                    if !v.is_of(frame, &light) {
+                        *v = LitVolume::new(frame, &light, &gpu);
                     }
                 })
-                .or_insert_with(|| LitVolume::new(frame, &lit, uniform.clone(), &gpu));
-            lit_volume.update(frame, &lit, uniform, *now, &gpu, &mut work);
+                .or_insert_with(|| LitVolume::new(frame, &light, &gpu));
+            lit_volume.update(frame, light, *now, &gpu, &mut work);
 
             let eye = placed.eye(view);
             // Isotropic smoke looks the same from everywhere: one texture serves all views.
@@ -196,7 +170,7 @@ pub(super) fn prepare_smoke(
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
             let sliced = lit_volume.slice(key, look, frame, animation.shape, *now, &gpu, &mut work);
-            let uniform = placed.smoke_uniform(view, eye, volume, lit.intensity * camera.exposure);
+            let uniform = placed.smoke_uniform(view, eye, volume, unit * camera.exposure);
             if let Some(uniform) = uniform {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
                 drawn.push(ViewSmokeVolume { distance: placed.distance(view), bind_group });
@@ -214,6 +188,7 @@ pub(super) fn prepare_smoke(
 
     let in_use = |last_used: u32| now.wrapping_sub(last_used) < KEEP_FRAMES;
     environments.retain(in_use);
+    stats.retain_scattering(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
     for volume in volumes.values_mut() {
         volume.sliced.retain(|_, sliced| in_use(sliced.last_used));
@@ -246,18 +221,72 @@ impl Placed {
         usable.then_some(Self { world_from_bundle, shape: animation.shape, scale, max_density: animation.max_density })
     }
 
-    fn lighting(&self, volume: &ExtractedVolume, lit: &Lit) -> LightingUniform {
+    /// The medium and the light, and the radiance (cd/m²) that 1 in the passes' buffers and textures stands for.
+    ///
+    /// Where the environment is the only light, that is its intensity, which then changes at no cost; otherwise the
+    /// strongest light decides, since textures are f16.
+    fn lighting(
+        &self,
+        volume: &ExtractedVolume,
+        lit: &Lit,
+        smoke: &ExtractedSmoke,
+        multiple: bool,
+    ) -> (LightingUniform, f32) {
         let m = &self.world_from_bundle.matrix3;
         let world_from_bundle =
             Mat3::from_cols(m.x_axis.normalize().into(), m.y_axis.normalize().into(), m.z_axis.normalize().into());
-        let g = volume.medium.g;
-        let albedo = volume.medium.albedo;
-        LightingUniform {
+        let (lamps, strongest) = lamps_of(
+            &smoke.lamps,
+            &volume.layers,
+            &Affine3A::from_mat3_translation(world_from_bundle * self.scale, self.world_from_bundle.translation.into()),
+            self.scale,
+            self.shape.half_extent(),
+        );
+        let strongest = lit.intensity.abs().max(lit.ambient.max_element()).max(strongest);
+        let unit = match lamps.is_empty() && lit.ambient == Vec3::ZERO {
+            true => lit.intensity,
+            false => strongest,
+        };
+        let relative = |value: f32| if value == unit { 1.0 } else { value / unit };
+        let mut uniform = LightingUniform {
             environment_from_bundle: lit.environment_from_world * world_from_bundle,
-            albedo: Vec3::new(albedo.red, albedo.green, albedo.blue),
-            sigma: self.sigma(volume),
-            bands: Vec4::new(1.0, g, g * g, g * g * g),
+            ambient: lit.ambient.map(|ambient| if ambient == 0.0 { 0.0 } else { relative(ambient) }),
+            environment_scale: relative(lit.intensity),
+            lamp_count: lamps.len() as u32,
+            // Bevy's own limit is a centimetre; in a cell the mean of 1/d² is about 8 over the cell's side squared.
+            min_distance_squared: (1e-4 / (self.scale * self.scale)).max(self.shape.cell_size().powi(2) / 8.0),
+            ..LightingUniform::of_medium(&volume.medium, self.sigma(volume), multiple)
+        };
+        for (slot, lamp) in uniform.lamps.iter_mut().zip(lamps) {
+            *slot = lamp;
+            slot.color /= unit;
         }
+        (uniform, unit)
+    }
+
+    /// Whether light that scatters more than once is drawn.
+    fn choose_scattering(
+        &self,
+        volume: &ExtractedVolume,
+        frame: &GpuSmokeFrame,
+        before: Option<bool>,
+        device: &RenderDevice,
+    ) -> ScatteringChoice {
+        let albedo = volume.medium.albedo;
+        let albedo = albedo.red.max(albedo.green).max(albedo.blue);
+        let chance = frame.chance_to_meet_again(self.sigma(volume));
+        let mut events = volume.scattering.events;
+        let limits = device.limits();
+        let largest = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        if events != ScatteringEvents::Single && 4 * u64::from(frame.rbf_count).pow(2) > largest {
+            warn_once!(
+                "a frame of smoke has {} RBFs, whose pairs do not fit this adapter's buffers of {largest} bytes: its \
+                 light scatters only once; bake it with fewer (said once)",
+                frame.rbf_count
+            );
+            events = ScatteringEvents::Single;
+        }
+        ScatteringChoice::new(events, albedo, chance, before)
     }
 
     /// Extinction a bundle unit where the filtered density textures hold 1; bounded, so that products with it stay finite.
@@ -333,116 +362,6 @@ fn screen_rectangle(clip_from_bundle: Mat4, half_extent: Vec3) -> Option<Vec4> {
     }
     (low, high) = (low.max(Vec2::NEG_ONE), high.min(Vec2::ONE));
     (low.x < high.x && low.y < high.y).then_some(Vec4::new(low.x, low.y, high.x, high.y))
-}
-
-impl LitVolume {
-    fn new(frame: &GpuSmokeFrame, lit: &Lit, uniform: LightingUniform, gpu: &Gpu) -> Self {
-        let bytes = u64::from(frame.rbf_count.max(1)) * u64::from(PROBES) * 16 * 16;
-        let probes = storage_buffer(gpu.device, "smoke_probes", bytes);
-        let uniform = Cached::new(uniform, gpu);
-        let bindings = source_radiance::Bindings {
-            frame,
-            lighting: uniform.buffer(),
-            environment: lit.coefficients,
-            sampler: gpu.sampler,
-            probes: &probes,
-        };
-        Self {
-            bind_group: source_radiance::bind(&gpu.passes.source_radiance, bindings, gpu.device, gpu.cache),
-            frame: frame.uniform.id(),
-            // Older than any environment: lit at the first look.
-            environment_version: 0,
-            uniform,
-            probes,
-            version: 0,
-            last_used: 0,
-            sliced: HashMap::default(),
-        }
-    }
-
-    fn update(
-        &mut self,
-        frame: &GpuSmokeFrame,
-        lit: &Lit,
-        uniform: LightingUniform,
-        now: u32,
-        gpu: &Gpu,
-        work: &mut SmokeWork,
-    ) {
-        self.last_used = now;
-        let changed = self.uniform.set(uniform, gpu) | (self.environment_version != lit.version);
-        if changed {
-            self.environment_version = lit.version;
-            self.version += 1;
-            let workgroups = source_radiance::workgroups(frame);
-            work.source_radiance.push(Job { bind_group: self.bind_group.clone(), workgroups });
-        }
-    }
-
-    /// The 3D texture for a view, or for all.
-    fn slice(
-        &mut self,
-        view: Option<RetainedViewEntity>,
-        eye: Vec4,
-        frame: &GpuSmokeFrame,
-        shape: GridShape,
-        now: u32,
-        gpu: &Gpu,
-        work: &mut SmokeWork,
-    ) -> &mut SlicedVolume {
-        let (probes, version) = (&self.probes, self.version);
-        let sliced = self.sliced.entry(view).or_insert_with(|| SlicedVolume::new(eye, frame, shape, probes, gpu));
-        sliced.last_used = now;
-        let changed = sliced.look.set(LookUniform { eye }, gpu) | (sliced.lit_version != version);
-        if changed {
-            sliced.lit_version = version;
-            let bind_group = sliced.outgoing.clone();
-            work.outgoing.push(Job { bind_group, workgroups: outgoing::workgroups(frame) });
-            let bind_group = sliced.volume.clone();
-            work.volume.push(Job { bind_group, workgroups: volume::workgroups(shape) });
-        }
-        sliced
-    }
-}
-
-impl SlicedVolume {
-    fn new(eye: Vec4, frame: &GpuSmokeFrame, shape: GridShape, probes: &Buffer, gpu: &Gpu) -> Self {
-        let bytes = u64::from(frame.rbf_count.max(1)) * OUTGOING_BYTES;
-        let outgoing = storage_buffer(gpu.device, "smoke_outgoing", bytes);
-        let texture = texture_3d(gpu.device, "smoke_volume", shape.dims + 2, FILTERED_FORMAT);
-        let look = Cached::new(LookUniform { eye }, gpu);
-        let leave = outgoing::Bindings { frame, look: look.buffer(), probes, outgoing: &outgoing };
-        let reconstruct = volume::Bindings { frame, outgoing: &outgoing, volume: &texture };
-        Self {
-            outgoing: outgoing::bind(&gpu.passes.outgoing, leave, gpu.device, gpu.cache),
-            volume: volume::bind(&gpu.passes.volume, reconstruct, gpu.device, gpu.cache),
-            look,
-            // Older than any lit volume.
-            lit_version: 0,
-            texture,
-            last_used: 0,
-            seen: HashMap::default(),
-        }
-    }
-
-    /// What a view binds to draw it.
-    fn see(&mut self, view: RetainedViewEntity, uniform: SmokeUniform, now: u32, gpu: &Gpu) -> BindGroup {
-        let texture = &self.texture;
-        let seen = self.seen.entry(view).or_insert_with(|| {
-            let uniform = Cached::new(uniform.clone(), gpu);
-            let bindings = (uniform.buffer(), texture, gpu.sampler);
-            let bind_group = gpu.view_pass.bind(bindings, gpu.device, gpu.cache);
-            SeenVolume { uniform, bind_group, last_used: now }
-        });
-        seen.last_used = now;
-        seen.uniform.set(uniform, gpu);
-        seen.bind_group.clone()
-    }
-}
-
-fn storage_buffer(device: &RenderDevice, label: &str, size: u64) -> Buffer {
-    let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
-    device.create_buffer(&BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
 }
 
 /// Trilinear, clamped at the edges.

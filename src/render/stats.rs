@@ -1,42 +1,72 @@
 //! What the passes did: for tools, tests and the curious.
 
+use std::sync::{Arc, Mutex};
+
+use bevy::ecs::entity::EntityHashMap;
 use bevy::prelude::*;
+use bevy::render::sync_world::MainEntity;
 
 use super::pass::DispatchCounter;
+use crate::scattering::ScatteringChoice;
 
 /// How many dispatches (and draws) each pass has made since the app started, in both worlds: the renderer counts, the
-/// main world reads. GPU times are in Bevy's `DiagnosticsStore` under `render/<pass>/elapsed_gpu`, where the adapter has
+/// main world reads. The scattering pass counts its solves, each of which is many dispatches. GPU times are in Bevy's `DiagnosticsStore` under `render/<pass>/elapsed_gpu`, where the adapter has
 /// timestamps and `RenderDiagnosticsPlugin` is added.
 #[derive(Resource, Clone, Debug, Default)]
 pub struct SmokeRenderStats {
     pub(crate) environment: DispatchCounter,
     pub(crate) density: DispatchCounter,
     pub(crate) coarse: DispatchCounter,
-    pub(crate) source_radiance: DispatchCounter,
+    pub(crate) pair_matrix: DispatchCounter,
+    pub(crate) incident_light: DispatchCounter,
+    pub(crate) scattering: DispatchCounter,
     pub(crate) outgoing: DispatchCounter,
     pub(crate) volume: DispatchCounter,
     pub(crate) view: DispatchCounter,
+    scattering_choices: Arc<Mutex<EntityHashMap<ScatteringChoice>>>,
 }
 
 impl SmokeRenderStats {
     /// The passes in the order they run, by the name of their GPU span.
-    pub const PASSES: [&'static str; 7] = [
+    pub const PASSES: [&'static str; 9] = [
         super::environment::LABEL,
         super::density::LABEL,
         super::coarse::LABEL,
-        super::source_radiance::LABEL,
+        super::pair_matrix::LABEL,
+        super::incident_light::LABEL,
+        super::scattering::LABEL,
         super::outgoing::LABEL,
         super::volume::LABEL,
         super::view::LABEL,
     ];
 
+    /// Whether light that scatters more than once is drawn in a volume, and why; None before it is first seen.
+    pub fn scattering(&self, volume: Entity) -> Option<ScatteringChoice> {
+        self.scattering_choices.lock().ok()?.get(&volume).copied()
+    }
+
+    pub(super) fn set_scattering(&self, volume: MainEntity, choice: ScatteringChoice) {
+        if let Ok(mut choices) = self.scattering_choices.lock() {
+            choices.insert(volume.id(), choice);
+        }
+    }
+
+    /// Forgets volumes that are gone.
+    pub(super) fn retain_scattering(&self, exists: impl Fn(Entity) -> bool) {
+        if let Ok(mut choices) = self.scattering_choices.lock() {
+            choices.retain(|volume, _| exists(*volume));
+        }
+    }
+
     /// Dispatches so far, in the order of [`PASSES`](Self::PASSES).
-    pub fn dispatches(&self) -> [u32; 7] {
+    pub fn dispatches(&self) -> [u32; 9] {
         [
             &self.environment,
             &self.density,
             &self.coarse,
-            &self.source_radiance,
+            &self.pair_matrix,
+            &self.incident_light,
+            &self.scattering,
             &self.outgoing,
             &self.volume,
             &self.view,

@@ -1,4 +1,4 @@
-//! Volume pass: outgoing radiance of the RBFs → source radiance of every cell, beside its density, in the 3D texture
+//! Volume pass: outgoing radiance of the RBFs, and lamps → source radiance of every cell, beside its density, in the 3D texture
 //! that the view pass marches. Runs after the outgoing pass.
 
 use bevy::prelude::*;
@@ -13,6 +13,8 @@ use bevy::render::renderer::{RenderContext, RenderDevice};
 use bevy::shader::Shader;
 
 use super::frame::{FILTERED_FORMAT, FrameUniform, GpuSmokeFrame};
+use super::lighting::LightingUniform;
+use super::outgoing::LookUniform;
 use super::pass::ComputePass;
 use super::{SmokePasses, SmokeRenderStats, SmokeWork};
 use crate::density::GridShape;
@@ -26,6 +28,9 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
         ShaderStages::COMPUTE,
         (
             uniform_buffer::<FrameUniform>(false),
+            uniform_buffer::<LightingUniform>(false),
+            uniform_buffer::<LookUniform>(false),
+            storage(),
             storage(),
             storage(),
             storage(),
@@ -40,7 +45,10 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
 /// What one dispatch reads and writes.
 pub(super) struct Bindings<'a> {
     pub frame: &'a GpuSmokeFrame,
+    pub lighting: &'a Buffer,
+    pub look: &'a Buffer,
     pub outgoing: &'a Buffer,
+    pub shades: &'a Buffer,
     pub volume: &'a TextureView,
 }
 
@@ -50,10 +58,13 @@ pub(super) fn bind(pass: &ComputePass, b: Bindings, device: &RenderDevice, cache
         cache,
         (
             b.frame.uniform.as_entire_binding(),
+            b.lighting.as_entire_binding(),
+            b.look.as_entire_binding(),
             b.frame.rbfs.as_entire_binding(),
             b.frame.bin_offsets.as_entire_binding(),
             b.frame.bin_indices.as_entire_binding(),
             b.outgoing.as_entire_binding(),
+            b.shades.as_entire_binding(),
             &b.frame.density,
             b.volume,
         ),

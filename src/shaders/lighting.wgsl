@@ -1,40 +1,102 @@
-// What the lighting passes share: the medium as they see it, and where an RBF's probes are.
+// What the lighting passes share: the medium and the lamps as they see them, and where an RBF's probes are.
+// Filled by `LightingUniform` (render/lighting.rs).
 #define_import_path bevy_smoke::lighting
+
+// A sun, a point light or a spot light. Lengths are bundle units, so that irradiance is intensity over distance squared.
+struct Lamp {
+    // Where it is; for a sun, the unit vector toward it.
+    position: vec3<f32>,
+    // 1 / range^2, where its light ends.
+    inverse_range_squared: f32,
+    // Intensity; for a sun, irradiance on a surface that faces it.
+    color: vec3<f32>,
+    is_sun: u32,
+    // Unit vector along a spot's axis; saturate(cos * scale + offset)^2 is its share at that angle.
+    axis: vec3<f32>,
+    spot_scale: f32,
+    spot_offset: f32,
+}
 
 struct Lighting {
     // Rotates a direction from the volume's axes to the environment's.
     environment_from_bundle: mat3x3<f32>,
-    albedo: vec3<f32>,
-    // Extinction a bundle unit where the scaled density is 1: sigma_t times the world length of the box's longest side
-    // over the density's scale.
-    sigma: f32,
-    // The phase function's factor of each band: g^l.
-    bands: vec4<f32>,
+    // Radiance from everywhere on top of the environment.
+    ambient: vec3<f32>,
+    // Multiplies the environment's coefficients.
+    environment_scale: f32,
+    // Extinction a bundle unit where the scaled density is 1, as light on its way to the smoke sees it; reduced for
+    // multiple scattering forward (delta-M).
+    sigma: vec3<f32>,
+    // Mean cosine of the phase function.
+    g: f32,
+    // Factor of each band at the last scattering event: albedo g^l.
+    scatter: array<vec4<f32>, 4>,
+    // The same at all events before: reduced like sigma.
+    inner: array<vec4<f32>, 4>,
+    // Grey sigma, for transport between RBFs.
+    sigma_mean: f32,
+    // Coefficients kept of radiance that scatters more than once: 1 (isotropic) or 16; 0 where light scatters once.
+    coefficients: u32,
+    lamp_count: u32,
+    // Lamps are no nearer than this.
+    min_distance_squared: f32,
+    lamps: array<Lamp, 8>,
 }
 
-// Radiance that leaves an RBF toward the eye: its mean Jbar, then the gradient's columns, d/dx, d/dy, d/dz.
-struct Outgoing {
-    mean: vec3<f32>,
-    dx: vec3<f32>,
-    dy: vec3<f32>,
-    dz: vec3<f32>,
+const MAX_LAMPS: u32 = 8u;
+const PI: f32 = 3.14159265358979;
+
+// A quantity around an RBF: at its centre, its slopes and its curvatures along the axes, in bundle units. Radiance keeps
+// its bounds in alpha: the lower in center, dx, dy, the upper in dz, qx, qy.
+struct Fit {
+    center: vec4<f32>,
+    dx: vec4<f32>,
+    dy: vec4<f32>,
+    dz: vec4<f32>,
+    qx: vec4<f32>,
+    qy: vec4<f32>,
+    qz: vec4<f32>,
 }
 
 // Directions each probe looks in; one thread each.
 const DIRECTIONS: u32 = 64u;
-// Radius of the tetrahedron of probes over the RBF's.
+// Probes around an RBF: its centre, and both sides along x, y and z.
+const PROBES: u32 = 7u;
+// Their distance from the centre over the RBF's radius.
 const RHO: f32 = 1.0;
 
-// Corner i of the tetrahedron, a unit vector.
-fn tetrahedron(i: u32) -> vec3<f32> {
-    let signs = vec3(
-        select(1.0, -1.0, i >= 2u),
-        select(1.0, -1.0, i == 1u || i == 3u),
-        select(1.0, -1.0, i == 1u || i == 2u),
-    );
-    return signs * 0.5773502691896258;
+fn probe_position(center: vec3<f32>, radius: f32, i: u32) -> vec3<f32> {
+    let side = select(-RHO, RHO, (i & 1u) == 1u) * radius;
+    let axis = (i + 1u) / 2u;
+    return center + side * vec3(f32(axis == 1u), f32(axis == 2u), f32(axis == 3u));
 }
 
-fn probe_position(center: vec3<f32>, radius: f32, i: u32) -> vec3<f32> {
-    return center + RHO * radius * tetrahedron(i);
+// A lamp as a point sees it, without the smoke between.
+struct Arriving {
+    // Toward the lamp.
+    direction: vec3<f32>,
+    distance: f32,
+    irradiance: vec3<f32>,
+}
+
+fn arriving_from(lamp: Lamp, point: vec3<f32>, min_distance_squared: f32) -> Arriving {
+    if lamp.is_sun != 0u {
+        return Arriving(lamp.position, 1e30, lamp.color);
+    }
+    let offset = lamp.position - point;
+    let distance_squared = max(dot(offset, offset), min_distance_squared);
+    let distance = sqrt(distance_squared);
+    let direction = offset / distance;
+    // The fall-offs of Bevy's own lights, so that smoke and meshes agree.
+    let in_range = distance_squared * lamp.inverse_range_squared;
+    let range_share = saturate(1.0 - in_range * in_range);
+    let spot_share = saturate(dot(lamp.axis, -direction) * lamp.spot_scale + lamp.spot_offset);
+    let share = range_share * range_share * spot_share * spot_share / distance_squared;
+    return Arriving(direction, distance, lamp.color * share);
+}
+
+// Henyey-Greenstein phase function, per steradian.
+fn phase(cos_theta: f32, g: f32) -> f32 {
+    let s = max(1.0 + g * g - 2.0 * g * cos_theta, 1e-6);
+    return (1.0 - g * g) / (4.0 * PI * s * sqrt(s));
 }

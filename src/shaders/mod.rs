@@ -6,13 +6,19 @@ use bevy::shader::{Shader, load_shader_library};
 
 /// Registers every shader as an embedded asset.
 pub(crate) fn embed(app: &mut App) {
+    load_shader_library!(app, "footprint.wgsl");
     load_shader_library!(app, "frame.wgsl");
     load_shader_library!(app, "lighting.wgsl");
+    load_shader_library!(app, "scattering.wgsl");
     load_shader_library!(app, "sh.wgsl");
     embedded_asset!(app, "environment.wgsl");
     embedded_asset!(app, "density.wgsl");
     embedded_asset!(app, "coarse.wgsl");
-    embedded_asset!(app, "source_radiance.wgsl");
+    embedded_asset!(app, "pair_matrix.wgsl");
+    embedded_asset!(app, "incident_light.wgsl");
+    embedded_asset!(app, "scattering_source.wgsl");
+    embedded_asset!(app, "sweep.wgsl");
+    embedded_asset!(app, "extrapolate.wgsl");
     embedded_asset!(app, "outgoing.wgsl");
     embedded_asset!(app, "volume.wgsl");
     embedded_asset!(app, "view.wgsl");
@@ -23,7 +29,11 @@ pub(crate) struct Shaders {
     pub environment: Handle<Shader>,
     pub density: Handle<Shader>,
     pub coarse: Handle<Shader>,
-    pub source_radiance: Handle<Shader>,
+    pub pair_matrix: Handle<Shader>,
+    pub incident_light: Handle<Shader>,
+    pub scattering_source: Handle<Shader>,
+    pub sweep: Handle<Shader>,
+    pub extrapolate: Handle<Shader>,
     pub outgoing: Handle<Shader>,
     pub volume: Handle<Shader>,
     pub view: Handle<Shader>,
@@ -35,7 +45,11 @@ impl Shaders {
             environment: load_embedded_asset!(assets, "environment.wgsl"),
             density: load_embedded_asset!(assets, "density.wgsl"),
             coarse: load_embedded_asset!(assets, "coarse.wgsl"),
-            source_radiance: load_embedded_asset!(assets, "source_radiance.wgsl"),
+            pair_matrix: load_embedded_asset!(assets, "pair_matrix.wgsl"),
+            incident_light: load_embedded_asset!(assets, "incident_light.wgsl"),
+            scattering_source: load_embedded_asset!(assets, "scattering_source.wgsl"),
+            sweep: load_embedded_asset!(assets, "sweep.wgsl"),
+            extrapolate: load_embedded_asset!(assets, "extrapolate.wgsl"),
             outgoing: load_embedded_asset!(assets, "outgoing.wgsl"),
             volume: load_embedded_asset!(assets, "volume.wgsl"),
             view: load_embedded_asset!(assets, "view.wgsl"),
@@ -65,8 +79,10 @@ mod tests {
     fn validate(name: &str, source: &str, defs: &[&str]) {
         let mut composer = Composer::default();
         let libraries = [
+            ("footprint.wgsl", include_str!("footprint.wgsl")),
             ("frame.wgsl", include_str!("frame.wgsl")),
             ("lighting.wgsl", include_str!("lighting.wgsl")),
+            ("scattering.wgsl", include_str!("scattering.wgsl")),
             ("sh.wgsl", include_str!("sh.wgsl")),
             ("bevy view", BEVY_VIEW),
             ("bevy tonemapping", BEVY_TONEMAPPING),
@@ -104,7 +120,11 @@ mod tests {
         validate("environment.wgsl", include_str!("environment.wgsl"), &["EQUIRECT"]);
         validate("density.wgsl", include_str!("density.wgsl"), &[]);
         validate("coarse.wgsl", include_str!("coarse.wgsl"), &[]);
-        validate("source_radiance.wgsl", include_str!("source_radiance.wgsl"), &[]);
+        validate("pair_matrix.wgsl", include_str!("pair_matrix.wgsl"), &[]);
+        validate("incident_light.wgsl", include_str!("incident_light.wgsl"), &[]);
+        validate("scattering_source.wgsl", include_str!("scattering_source.wgsl"), &[]);
+        validate("sweep.wgsl", include_str!("sweep.wgsl"), &[]);
+        validate("extrapolate.wgsl", include_str!("extrapolate.wgsl"), &[]);
         validate("outgoing.wgsl", include_str!("outgoing.wgsl"), &[]);
         validate("volume.wgsl", include_str!("volume.wgsl"), &[]);
     }

@@ -1,22 +1,28 @@
 // Reconstructs the source radiance at every cell, padded by one cell on each side:
-//     J(x) = max(0, sum_l phi_l (Jbar_l + G_l delta_l) / sum_l phi_l),   phi = w (exp(-u^2) + tail),
-// beside the density. The tail, a millionth at the centre, decays slowly: where no RBF reaches,
+//     J(x) = max(0, sum_l phi_l J_l(x) / sum_l phi_l),   phi = w (exp(-u^2) + tail),   J_l the quadratic fit,
+// and, for every lamp, albedo times phase times its irradiance after exp(-sigma column), with columns interpolated by the
+// same formula: transmittance falls exponentially where smoke is thick, columns grow evenly. Beside it the density.
+// The tail, a millionth at the centre, decays slowly: where no RBF reaches,
 // wisps take the source radiance of the nearest ones.
 #import bevy_smoke::frame::{Frame, Rbf, MAX_HALF, bin_index, cell_center}
-#import bevy_smoke::lighting::Outgoing
+#import bevy_smoke::lighting::{Lighting, Fit, arriving_from, phase}
 
 const TAIL: f32 = 1e-6;
-// The gradient is followed no farther than this many radii.
-const REACH: f32 = 2.0;
+// The fits are followed no farther than this many radii.
+const REACH: f32 = 1.5;
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read> rbfs: array<Rbf>;
-@group(0) @binding(2) var<storage, read> bin_offsets: array<u32>;
-@group(0) @binding(3) var<storage, read> bin_indices: array<u32>;
-@group(0) @binding(4) var<storage, read> outgoing: array<Outgoing>;
-@group(0) @binding(5) var density: texture_3d<f32>;
+@group(0) @binding(1) var<uniform> lighting: Lighting;
+// As in `outgoing.wgsl`.
+@group(0) @binding(2) var<uniform> eye: vec4<f32>;
+@group(0) @binding(3) var<storage, read> rbfs: array<Rbf>;
+@group(0) @binding(4) var<storage, read> bin_offsets: array<u32>;
+@group(0) @binding(5) var<storage, read> bin_indices: array<u32>;
+@group(0) @binding(6) var<storage, read> outgoing: array<Fit>;
+@group(0) @binding(7) var<storage, read> shades: array<Fit>;
+@group(0) @binding(8) var density: texture_3d<f32>;
 // RGB: source radiance; alpha: scaled density.
-@group(0) @binding(6) var volume: texture_storage_3d<rgba16float, write>;
+@group(0) @binding(9) var volume: texture_storage_3d<rgba16float, write>;
 
 // Whether a trilinear read that touches this cell can meet any density.
 fn near_density(cell: vec3<i32>) -> bool {
@@ -34,6 +40,11 @@ fn near_density(cell: vec3<i32>) -> bool {
     return false;
 }
 
+// A fit at an offset from its centre.
+fn value(f: Fit, d: vec3<f32>) -> vec4<f32> {
+    return f.center + (f.dx + f.qx * d.x) * d.x + (f.dy + f.qy * d.y) * d.y + (f.dz + f.qz * d.z) * d.z;
+}
+
 @compute @workgroup_size(8, 8, 4)
 fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(id >= frame.dims + 2u) {
@@ -47,6 +58,7 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
     let x = cell_center(frame, cell);
     let bin = bin_index(frame, cell);
     var sum = vec3(0.0);
+    var columns = array<vec4<f32>, 2>();
     var weights = 0.0;
     for (var i = bin_offsets[bin]; i < bin_offsets[bin + 1u]; i++) {
         let l = bin_indices[i];
@@ -56,10 +68,25 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
         let phi = rbf.weight * (exp(-u2) + TAIL / ((1.0 + u2) * (1.0 + u2)));
         let delta = offset * min(1.0, REACH / sqrt(max(u2, 1e-12)));
         let o = outgoing[l];
-        sum += phi * (o.mean + o.dx * delta.x + o.dy * delta.y + o.dz * delta.z);
+        let low = vec3(o.center.w, o.dx.w, o.dy.w);
+        let high = vec3(o.dz.w, o.qx.w, o.qy.w);
+        sum += phi * clamp(value(o, delta).rgb, low, high);
+        for (var s = 0u; 4u * s < lighting.lamp_count; s++) {
+            columns[s] += phi * value(shades[2u * l + s], delta);
+        }
         weights += phi;
     }
-    let radiance = clamp(sum / max(weights, 1e-30), vec3(0.0), vec3(MAX_HALF));
+    let normalize_by = 1.0 / max(weights, 1e-30);
+    var radiance = max(sum * normalize_by, vec3(0.0));
+    let look = select(eye.xyz, (x - eye.xyz) / max(length(x - eye.xyz), 1e-9), eye.w > 0.0);
+    for (var i = 0u; i < lighting.lamp_count; i++) {
+        let light = arriving_from(lighting.lamps[i], x, lighting.min_distance_squared);
+        let column = max(columns[i / 4u][i % 4u] * normalize_by, 0.0);
+        // Light travels from the lamp, and on toward the eye: both against these two.
+        let scattered = lighting.scatter[0].rgb * phase(dot(light.direction, look), lighting.g);
+        radiance += scattered * light.irradiance * exp(-lighting.sigma * column);
+    }
+    radiance = min(radiance, vec3(MAX_HALF));
     let inside = all(cell >= vec3(0)) && all(cell < vec3<i32>(frame.dims));
     let d = select(0.0, textureLoad(density, max(cell, vec3(0)), 0).x, inside);
     textureStore(volume, id, vec4(radiance, min(d * frame.density_scale, MAX_HALF)));

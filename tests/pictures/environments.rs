@@ -14,6 +14,8 @@ fn picture(
     map: impl FnOnce(&mut Assets<Image>) -> Option<EnvironmentMapLight>,
 ) -> Vec<[f32; 4]> {
     let mut app = app();
+    // No light but what the tests give.
+    app.app.insert_resource(GlobalAmbientLight::NONE);
     let (volume, medium, _, transform) = smoke(&mut app);
     // Forward scattering shows where light comes from.
     app.app.world_mut().spawn((volume, SmokeMedium { g: 0.6, ..medium }, environment, transform));

@@ -83,7 +83,7 @@ pub fn draw(app: &mut Headless) -> Vec<[f32; 4]> {
 }
 
 /// Every pass's dispatches so far.
-pub fn dispatches(app: &Headless) -> [u32; 7] {
+pub fn dispatches(app: &Headless) -> [u32; SmokeRenderStats::PASSES.len()] {
     app.app.world().resource::<SmokeRenderStats>().dispatches()
 }
 

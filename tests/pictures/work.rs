@@ -8,13 +8,14 @@ use bevy_smoke::prelude::*;
 
 use crate::scene::*;
 
-/// The dispatches that one update makes after a change: environment, density, coarse, source radiance, outgoing, volume.
-fn after(app: &mut Headless, change: impl FnOnce(&mut World)) -> [u32; 6] {
+/// The dispatches that one update makes after a change: environment, density, coarse, pair matrix, incident light,
+/// scattering, outgoing, volume.
+fn after(app: &mut Headless, change: impl FnOnce(&mut World)) -> [u32; 8] {
     let before = dispatches(app);
     change(app.app.world_mut());
     app.app.update();
     let now = dispatches(app);
-    assert_eq!(now[6] - before[6], 1, "the view is drawn every frame");
+    assert_eq!(now[8] - before[8], 1, "the view is drawn every frame");
     std::array::from_fn(|i| now[i] - before[i])
 }
 
@@ -47,21 +48,22 @@ fn move_camera(world: &mut World) {
 #[test]
 fn only_what_changed_is_computed() {
     let mut app = scene(0.0);
-    assert_eq!(dispatches(&app)[..6], [0, 1, 1, 1, 1, 1], "the first frame, once each");
-    assert_eq!(after(&mut app, |_| {}), [0; 6], "a static scene");
-    assert_eq!(after(&mut app, move_camera), [0; 6], "isotropic smoke looks the same from everywhere");
-    let relit = [0, 0, 0, 1, 1, 1];
-    assert_eq!(after(&mut app, set::<SmokeMedium>(|m| m.sigma_t *= 1.5)), relit);
+    assert_eq!(dispatches(&app)[..8], [0, 1, 1, 1, 1, 1, 1, 1], "the first frame, once each");
+    assert_eq!(after(&mut app, |_| {}), [0; 8], "a static scene");
+    assert_eq!(after(&mut app, move_camera), [0; 8], "isotropic smoke looks the same from everywhere");
+    let relit = [0, 0, 0, 0, 1, 1, 1, 1];
+    let denser = [0, 0, 0, 1, 1, 1, 1, 1];
+    assert_eq!(after(&mut app, set::<SmokeMedium>(|m| m.sigma_t *= 1.5)), denser);
     assert_eq!(after(&mut app, set::<SmokeMedium>(|m| m.albedo.red = 0.1)), relit);
     assert_eq!(after(&mut app, set::<Transform>(|t| t.rotate_y(0.3))), relit);
-    assert_eq!(after(&mut app, set::<Transform>(|t| t.scale *= 1.1)), relit);
-    assert_eq!(after(&mut app, set::<Transform>(|t| t.translation.x += 0.2)), [0; 6], "distant light stays the same");
+    assert_eq!(after(&mut app, set::<Transform>(|t| t.scale *= 1.1)), denser);
+    assert_eq!(after(&mut app, set::<Transform>(|t| t.translation.x += 0.2)), [0; 8], "distant light stays the same");
     let brighter = set::<SmokeEnvironment>(|e| {
         if let SmokeEnvironment::Coefficients { intensity, .. } = e {
             *intensity *= 2.0;
         }
     });
-    assert_eq!(after(&mut app, brighter), [0; 6], "radiance is linear in the light");
+    assert_eq!(after(&mut app, brighter), [0; 8], "radiance is linear in the light");
     let bluer = set::<SmokeEnvironment>(|e| *e = SmokeEnvironment::constant(Vec3::Z, 1.0));
     assert_eq!(after(&mut app, bluer), relit);
 }
@@ -69,8 +71,8 @@ fn only_what_changed_is_computed() {
 #[test]
 fn anisotropic_smoke_follows_the_eye() {
     let mut app = scene(0.5);
-    assert_eq!(after(&mut app, |_| {}), [0; 6]);
-    assert_eq!(after(&mut app, move_camera), [0, 0, 0, 0, 1, 1]);
+    assert_eq!(after(&mut app, |_| {}), [0; 8]);
+    assert_eq!(after(&mut app, move_camera), [0, 0, 0, 0, 0, 0, 1, 1]);
 }
 
 /// Volumes that share an asset share its density; each has its own light.
@@ -85,7 +87,7 @@ fn density_is_shared_between_volumes() {
     let camera = camera(&app);
     app.app.world_mut().spawn(camera);
     draw(&mut app);
-    assert_eq!(dispatches(&app)[..6], [0, 1, 1, 2, 2, 2]);
+    assert_eq!(dispatches(&app)[..8], [0, 1, 1, 2, 2, 2, 2, 2]);
 }
 
 /// A despawned volume disappears, and one that is spawned again is drawn again.
@@ -124,16 +126,17 @@ fn a_changed_image_is_projected_again() {
     let camera = camera(&app);
     app.app.world_mut().spawn(camera);
     let white = draw(&mut app);
-    assert_eq!(dispatches(&app)[..6], [2, 1, 1, 1, 1, 1]);
+    assert_eq!(dispatches(&app)[..8], [2, 1, 1, 1, 1, 1, 1, 1]);
     let changed = after(&mut app, |world| {
         let mut images = world.resource_mut::<Assets<Image>>();
         let mut image = images.get_mut(&image).unwrap();
         let red = [2.0_f32, 0.0, 0.0, 1.0];
         image.data = Some(bytemuck::cast_slice(&red).repeat(32));
     });
-    assert_eq!(changed, [2, 0, 0, 1, 1, 1]);
+    assert_eq!(changed, [2, 0, 0, 0, 1, 1, 1, 1]);
+    // Multiple scattering is solved to half a percent, from where it was before.
     for (red, white) in app.float_pixels().iter().zip(&white) {
-        assert!((red[0] - 2.0 * white[0]).abs() <= 1e-6 + 2e-3 * white[0] && red[1] == 0.0, "{red:?} {white:?}");
+        assert!((red[0] - 2.0 * white[0]).abs() <= 1e-6 + 1e-2 * white[0] && red[1] == 0.0, "{red:?} {white:?}");
     }
 }
 
@@ -152,9 +155,9 @@ fn frames_are_unpacked_when_they_are_shown() {
     volumes.single_mut(world).unwrap().animation = both;
     let first = draw(&mut app);
     let show = |frame| set::<SmokeVolume>(move |volume| volume.frame = frame);
-    assert_eq!(after(&mut app, show(1)), [0, 1, 1, 1, 1, 1]);
+    assert_eq!(after(&mut app, show(1)), [0, 1, 1, 1, 1, 1, 1, 1]);
     assert!(rms(&app.float_pixels(), &first) > 1e-3, "the second frame looks like the first");
-    assert_eq!(after(&mut app, show(0)), [0, 0, 0, 1, 1, 1], "it has been unpacked before");
+    assert_eq!(after(&mut app, show(0)), [0, 0, 0, 1, 1, 1, 1, 1], "it has been unpacked before");
     assert_eq!(app.float_pixels(), first);
     // Past the end the last frame is shown.
     after(&mut app, show(7));

@@ -70,18 +70,69 @@ fn an_image_is_a_path() {
     assert!(scene.environment.coefficients().is_none());
 }
 
+const LIGHTS: &str = r#""lights": [
+    { "kind": "sun", "dir": [0, 2, 0], "irradiance": [3, 2, 1], "angle_deg": 0.5 },
+    { "kind": "sun", "dir": [1, 0, 0], "irradiance": 2 },
+    { "kind": "point", "pos": [1, 2, 3], "intensity": 5 },
+    { "kind": "spot", "pos": [0, 3, 0], "dir": [0, -3, 0], "intensity": [1, 0, 1], "inner_deg": 20, "outer_deg": 30 }
+], "size""#;
+
+#[test]
+fn lights() {
+    let (scene, warnings) = changed("\"size\"", LIGHTS).unwrap();
+    assert!(warnings.is_empty());
+    assert_eq!(
+        scene.lights,
+        [
+            SceneLight::Sun { direction: DVec3::Y, irradiance: DVec3::new(3.0, 2.0, 1.0), angle_deg: 0.5 },
+            SceneLight::Sun { direction: DVec3::X, irradiance: DVec3::splat(2.0), angle_deg: 0.0 },
+            SceneLight::Point { position: DVec3::new(1.0, 2.0, 3.0), intensity: DVec3::splat(5.0) },
+            SceneLight::Spot {
+                position: DVec3::Y * 3.0,
+                direction: -DVec3::Y,
+                intensity: DVec3::new(1.0, 0.0, 1.0),
+                inner_deg: 20.0,
+                outer_deg: 30.0,
+            },
+        ]
+    );
+    assert!(parse(PLUME).unwrap().0.lights.is_empty());
+
+    for (from, to, expected) in [
+        ("\"sun\"", "\"moon\"", "lights[0].kind: \"moon\" is none of"),
+        ("[0, 2, 0]", "[0, 0, 0]", "lights[0].dir: not a direction"),
+        ("0.5 }", "180 }", "lights[0].angle_deg: 180 is not between 0 and 179"),
+        ("\"irradiance\": 2", "\"irradiance\": -2", "lights[1].irradiance: -2 is negative"),
+        ("\"irradiance\": 2", "\"intensity\": 2", "missing key lights[1].irradiance"),
+        ("[1, 2, 3]", "5", "lights[2].pos: 5 is not a list of three numbers"),
+        ("\"intensity\": 5", "\"intensity\": \"5\"", "lights[2].intensity: \"5\" is neither a number nor three"),
+        ("\"inner_deg\": 20", "\"inner_deg\": 31", "lights[3].inner_deg: 31 is not between 0 and 30"),
+        ("\"outer_deg\": 30", "\"outer_deg\": 91", "lights[3].outer_deg: 91"),
+        ("[\n    {", "[ 7, {", "lights[0]: not an object"),
+    ] {
+        assert!(LIGHTS.contains(from), "{from}");
+        let message = fault("\"size\"", &LIGHTS.replace(from, to));
+        assert!(message.contains(expected), "{to}: {message}");
+    }
+    assert!(fault("\"size\"", "\"lights\": {}, \"size\"").contains("lights: not a list"));
+    let (_, warnings) = changed("\"size\"", &LIGHTS.replace("\"pos\": [1", "\"colour\": 1, \"pos\": [1")).unwrap();
+    assert_eq!(warnings, ["lights[2].colour: unknown key, ignored"]);
+}
+
+#[test]
+fn a_grey_is_one_number() {
+    let (scene, _) = changed("[0.1, 0.2, 0.3]", "0.2").unwrap();
+    let Environment::Lobes { ambient, .. } = scene.environment else { panic!() };
+    assert_eq!(ambient, DVec3::splat(0.2));
+}
+
 #[test]
 fn warnings() {
-    let extra = "\"g\": -0.5, \"lights\": [], \"plane\": {}, \"spheres\": [], \"fog\": 1, ";
+    let extra = "\"g\": -0.5, \"plane\": {}, \"spheres\": [], \"fog\": 1, ";
     let (_, warnings) = changed("\"g\": -0.5,", extra).unwrap();
     assert_eq!(
         warnings,
-        [
-            "fog: unknown key, ignored",
-            "lights: not supported yet, ignored",
-            "plane: not supported yet, ignored",
-            "spheres: not supported yet, ignored"
-        ]
+        ["fog: unknown key, ignored", "plane: not supported yet, ignored", "spheres: not supported yet, ignored"]
     );
     let (_, warnings) = changed("\"rgb\": [3, 2, 1]", "\"rgb\": [3, 2, 1], \"radius\": 2").unwrap();
     assert_eq!(warnings, ["env.lobes[0].radius: unknown key, ignored"]);
@@ -121,4 +172,37 @@ fn errors_name_the_key() {
     assert_eq!(scene.placement, ScenePlacement::Width(3.0));
     let no_width = PLUME.replace("\"width_m\": 3.0,", "").replace("\"file\"", "\"width\"");
     assert!(parse(&no_width).unwrap_err().to_string().contains("missing key width_m"));
+}
+
+#[test]
+fn the_camera_is_bevys() {
+    use bevy::camera::CameraProjection;
+    use bevy::prelude::{PerspectiveProjection, Transform, Vec3};
+
+    let camera = SceneCamera {
+        eye: DVec3::new(4.2, 1.2, -3.0),
+        target: DVec3::new(0.5, -0.4, 0.1),
+        fov_y_deg: 35.0,
+        size: [72, 120],
+    };
+    let size = [160, 90];
+    let transform = Transform::from_translation(camera.eye.as_vec3()).looking_at(camera.target.as_vec3(), Vec3::Y);
+    let fov = camera.fov_y_deg.to_radians() as f32;
+    let projection = PerspectiveProjection { fov, aspect_ratio: 160.0 / 90.0, ..Default::default() };
+    let view_from_clip = projection.get_clip_from_view().inverse();
+    for [x, y] in [[0.0f32, 0.0], [80.0, 45.0], [160.0, 10.0], [33.5, 90.0]] {
+        let view = view_from_clip.project_point3(Vec3::new(x / 80.0 - 1.0, 1.0 - y / 45.0, 0.5));
+        let expected = (transform.rotation * view).normalize();
+        let found = camera.direction(size, x.into(), y.into());
+        // Bevy computes in f32.
+        assert!((found.as_vec3() - expected).length() < 1e-6, "{found} {expected}");
+    }
+}
+
+#[test]
+fn placements() {
+    let shape = GridShape::new([4, 8, 2].into());
+    let file = Placement { center: DVec3::X, voxel_size: 0.5 };
+    assert_eq!(ScenePlacement::File.center_and_side(shape, file), (DVec3::X, 4.0));
+    assert_eq!(ScenePlacement::Width(3.0).center_and_side(shape, file), (DVec3::ZERO, 3.0));
 }

@@ -8,9 +8,11 @@
 mod coarse;
 mod density;
 mod environment;
+mod incident_light;
 mod outgoing;
+mod pair_matrix;
 mod pipelines;
-mod source_radiance;
+mod scattering;
 mod view;
 mod volume;
 
@@ -25,7 +27,7 @@ use bevy::render::renderer::{RenderDevice, RenderQueue};
 use half::f16;
 
 use super::SmokePasses;
-use super::frame::GpuSmokeFrame;
+use super::frame::{FILTERED_FORMAT, GpuSmokeFrame};
 use super::pass::{ComputePass, Job};
 use crate::bundle::SmokeFrame;
 use crate::density::GridShape;
@@ -33,6 +35,7 @@ use crate::headless::{Headless, read_buffer, read_texture};
 use crate::rbf::{Rbf, RbfModel};
 use crate::reference::Grid;
 use crate::residual::{HashedResidual, QuantizationLaw};
+use crate::sh::{Sh, ShRgb};
 
 /// What the filtered density textures' 1 stands for.
 const MAX_DENSITY: f32 = 2.0;
@@ -191,6 +194,36 @@ fn fixture() -> SmokeFrame {
 
 fn rbfs(frame: &SmokeFrame) -> &[Rbf] {
     &frame.rbfs.rbfs
+}
+
+/// The twin's coarse density of a frame, and the frame on the GPU with that density.
+fn coarse_frame(gpu: &Gpu, frame: &SmokeFrame) -> (Grid, GpuSmokeFrame) {
+    let coarse = crate::reference::coarse::coarse(&twin_density(frame));
+    let mut uploaded = gpu.frame(frame);
+    uploaded.coarse = gpu.texture_3d(coarse.shape.dims + 2, FILTERED_FORMAT, |texel| {
+        let inside = texel.cmpge(UVec3::ONE).all() && texel.cmple(coarse.shape.dims).all();
+        if inside { coarse.values[coarse.shape.index(texel - 1)] as f32 } else { 0.0 }
+    });
+    (coarse, uploaded)
+}
+
+/// Random coefficients of light that is mostly positive.
+fn random_light(random: &mut Random) -> ShRgb {
+    Sh(std::array::from_fn(|k| {
+        let scale = if k == 0 { 3.0 } else { 0.6 };
+        let value = scale * (random.vector() - if k == 0 { 0.0 } else { 0.5 });
+        value.as_vec3().as_dvec3()
+    }))
+}
+
+/// A buffer of coefficients, each padded to four floats.
+fn pad(coefficients: impl IntoIterator<Item = DVec3>) -> Vec<[f32; 4]> {
+    coefficients.into_iter().map(|c| c.as_vec3().extend(0.0).to_array()).collect()
+}
+
+/// The colours of padded coefficients.
+fn unpad(floats: &[f32]) -> impl Iterator<Item = f64> + '_ {
+    floats.as_chunks::<4>().0.iter().flat_map(|c| c[..3].to_vec()).map(f64::from)
 }
 
 /// The twin's density of a frame.

@@ -1,7 +1,11 @@
+use bevy::math::Vec4;
+
 use super::*;
 use crate::rbf::RbfBins;
 use crate::reference::{self, outgoing::Outgoing};
-use crate::render::frame::{FILTERED_FORMAT, texture_3d};
+use crate::render::frame::{FILTERED_FORMAT, texture_3d, uniform};
+use crate::render::lighting::LightingUniform;
+use crate::render::outgoing::LookUniform;
 use crate::render::volume::{self, Bindings};
 
 #[test]
@@ -33,7 +37,14 @@ fn volume_matches_its_twin() {
     let buffer = gpu.buffer(&packed);
     let output = texture_3d(gpu.device(), "test", shape.dims + 2, FILTERED_FORMAT);
     let pass = &gpu.passes().volume;
-    let bindings = Bindings { frame: &uploaded, outgoing: &buffer, volume: &output };
+    let bindings = Bindings {
+        frame: &uploaded,
+        lighting: &uniform(gpu.device(), gpu.queue(), "test", LightingUniform::default()),
+        look: &uniform(gpu.device(), gpu.queue(), "test", LookUniform { eye: Vec4::Z }),
+        outgoing: &buffer,
+        shades: &gpu.buffer(&vec![[0.0_f32; 32]; rbfs(&frame).len()]),
+        volume: &output,
+    };
     let bind_group = volume::bind(pass, bindings, gpu.device(), gpu.cache());
     gpu.run(pass, Job { bind_group, workgroups: volume::workgroups(shape) });
 

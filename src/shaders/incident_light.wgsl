@@ -1,15 +1,14 @@
-// Single-scattering source radiance at every RBF's tetrahedral probes: one workgroup a probe, one
-// thread a direction. Each thread takes the environment's radiance along its direction, attenuated
-// by the optical depth through the coarse density grid; the workgroup projects the result to SH and
-// scales it by albedo and the phase function's band factors:
-//     J_k = albedo g^l L_d,k,   L_d,k = (4 pi / N) sum_j L(w_j) exp(-tau_j) y_k(w_j),
-// a function of the look direction v (eye -> point).
+// Light that reaches every RBF's probes through the smoke, straight from where it comes from: one workgroup
+// a probe, one thread a direction. Each thread takes the environment's radiance along its direction, attenuated by the
+// optical depth through the coarse density grid; the workgroup projects the result to SH:
+//     L_d,k = (4 pi / N) sum_j L(w_j) exp(-tau_j) y_k(w_j).
+// Beside it: the share of light from all around that gets through, mean exp(-tau_j), a grey exp(-tau) as SH, and the
+// density columns to the lamps.
 #import bevy_smoke::frame::{Frame, Rbf}
-#import bevy_smoke::sh::{basis, band, SH_COEFFICIENTS}
-#import bevy_smoke::lighting::{Lighting, probe_position, DIRECTIONS}
+#import bevy_smoke::sh::{basis, SH_COEFFICIENTS}
+#import bevy_smoke::lighting::{Lighting, arriving_from, probe_position, DIRECTIONS, MAX_LAMPS, PI, PROBES}
 
 const MARCH_STEPS: u32 = 20u;
-const PI: f32 = 3.14159265358979;
 const GOLDEN_ANGLE: f32 = 2.39996322972865;
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -18,8 +17,12 @@ const GOLDEN_ANGLE: f32 = 2.39996322972865;
 @group(0) @binding(3) var<storage, read> environment: array<vec4<f32>>;
 @group(0) @binding(4) var coarse: texture_3d<f32>;
 @group(0) @binding(5) var coarse_sampler: sampler;
-// 16 coefficients a probe, 4 probes an RBF.
+// 16 coefficients a probe: light, and grey transmittance in alpha.
 @group(0) @binding(6) var<storage, read_write> probes: array<vec4<f32>>;
+// The share that gets through, one a probe.
+@group(0) @binding(7) var<storage, read_write> escapes: array<vec4<f32>>;
+// Scaled density times bundle length, MAX_LAMPS a probe.
+@group(0) @binding(8) var<storage, read_write> columns: array<f32>;
 
 // Fibonacci directions, y up.
 fn direction(j: u32) -> vec3<f32> {
@@ -29,8 +32,8 @@ fn direction(j: u32) -> vec3<f32> {
     return vec3(radius * cos(phi), height, radius * sin(phi));
 }
 
-// Integral of the coarse density from `from_point` to the exit of its grid, in bundle units.
-fn column(from_point: vec3<f32>, towards: vec3<f32>) -> f32 {
+// Integral of the coarse density from `from_point` to a lamp or the exit of the grid, in bundle units.
+fn column(from_point: vec3<f32>, towards: vec3<f32>, distance: f32) -> f32 {
     let coarse_cell = frame.coarse_ratio * frame.cell;
     // Beyond half a cell outside the grid the trilinear density is zero.
     let half_extent = 0.5 * (vec3<f32>(frame.coarse_dims) + 1.0) * coarse_cell;
@@ -40,7 +43,7 @@ fn column(from_point: vec3<f32>, towards: vec3<f32>) -> f32 {
     let nearer = min(a, b);
     let farther = max(a, b);
     let begin = max(max(nearer.x, nearer.y), max(nearer.z, 0.0));
-    let end = min(farther.x, min(farther.y, farther.z));
+    let end = min(min(farther.x, distance), min(farther.y, farther.z));
     if end <= begin {
         return 0.0;
     }
@@ -61,10 +64,12 @@ fn environment_radiance(towards: vec3<f32>) -> vec3<f32> {
     for (var k = 0u; k < SH_COEFFICIENTS; k++) {
         radiance += y[k] * environment[k].rgb;
     }
-    return radiance;
+    return radiance * lighting.environment_scale + lighting.ambient;
 }
 
-var<workgroup> arriving: array<vec3<f32>, DIRECTIONS>;
+// Light in a direction, and grey transmittance in alpha.
+var<workgroup> arriving: array<vec4<f32>, DIRECTIONS>;
+var<workgroup> escaping: array<vec3<f32>, DIRECTIONS>;
 var<workgroup> bases: array<array<f32, 16>, DIRECTIONS>;
 
 @compute @workgroup_size(DIRECTIONS)
@@ -73,18 +78,30 @@ fn gather(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let rbf = rbfs[group.x];
+    let point = probe_position(rbf.center, rbf.radius, group.y);
+    let probe = group.x * PROBES + group.y;
     let towards = direction(thread);
-    let tau = lighting.sigma * column(probe_position(rbf.center, rbf.radius, group.y), towards);
-    arriving[thread] = environment_radiance(towards) * exp(-tau);
+    let met = column(point, towards, 1e30);
+    let kept = exp(-lighting.sigma * met);
+    arriving[thread] = vec4(environment_radiance(towards) * kept, exp(-lighting.sigma_mean * met));
+    escaping[thread] = kept;
     bases[thread] = basis(towards);
+    if thread < lighting.lamp_count {
+        let light = arriving_from(lighting.lamps[thread], point, lighting.min_distance_squared);
+        columns[probe * MAX_LAMPS + thread] = column(point, light.direction, light.distance);
+    }
     workgroupBarrier();
     if thread < SH_COEFFICIENTS {
-        var sum = vec3(0.0);
+        var sum = vec4(0.0);
         for (var j = 0u; j < DIRECTIONS; j++) {
             sum += arriving[j] * bases[j][thread];
         }
-        let weight = 4.0 * PI / f32(DIRECTIONS) * lighting.bands[band(thread)];
-        let probe = group.x * 4u + group.y;
-        probes[probe * SH_COEFFICIENTS + thread] = vec4(lighting.albedo * sum * weight, 0.0);
+        probes[probe * SH_COEFFICIENTS + thread] = sum * (4.0 * PI / f32(DIRECTIONS));
+    } else if thread == SH_COEFFICIENTS {
+        var escape = vec3(0.0);
+        for (var j = 0u; j < DIRECTIONS; j++) {
+            escape += escaping[j];
+        }
+        escapes[probe] = vec4(escape / f32(DIRECTIONS), 0.0);
     }
 }

@@ -1,0 +1,95 @@
+//! Incident-light pass: environment, lamps and coarse density → light that reaches every RBF's probes straight
+//! from the environment, as spherical harmonics, the share of it that does not get through, and density columns to the
+//! lamps. Runs when light, medium or density changed.
+
+use bevy::prelude::*;
+use bevy::render::render_resource::binding_types::{
+    sampler, storage_buffer_read_only_sized, storage_buffer_sized, texture_3d, uniform_buffer,
+};
+use bevy::render::render_resource::{
+    BindGroup, BindGroupLayoutEntries, Buffer, PipelineCache, Sampler, SamplerBindingType, ShaderStages,
+    TextureSampleType,
+};
+use bevy::render::renderer::{RenderContext, RenderDevice};
+use bevy::shader::Shader;
+
+use super::frame::{FrameUniform, GpuSmokeFrame};
+use super::lighting::{LightingUniform, MAX_LAMPS};
+use super::pass::ComputePass;
+use super::{SmokePasses, SmokeRenderStats, SmokeWork};
+
+/// Name of the pass and its GPU span.
+pub const LABEL: &str = "smoke_incident_light";
+
+/// Probes around an RBF; as in `lighting.wgsl`.
+pub(crate) const PROBES: u32 = 7;
+
+/// Bytes an RBF's probes take: 16 coefficients each.
+pub(super) const PROBE_BYTES: u64 = PROBES as u64 * 16 * 16;
+/// Bytes an RBF's probes take for the share of light that gets through.
+pub(super) const ESCAPE_BYTES: u64 = PROBES as u64 * 16;
+/// Bytes an RBF's columns to the lamps take.
+pub(super) const COLUMN_BYTES: u64 = PROBES as u64 * MAX_LAMPS as u64 * 4;
+
+pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePass {
+    let entries = BindGroupLayoutEntries::sequential(
+        ShaderStages::COMPUTE,
+        (
+            uniform_buffer::<FrameUniform>(false),
+            uniform_buffer::<LightingUniform>(false),
+            storage_buffer_read_only_sized(false, None),
+            storage_buffer_read_only_sized(false, None),
+            texture_3d(TextureSampleType::Float { filterable: true }),
+            sampler(SamplerBindingType::Filtering),
+            storage_buffer_sized(false, None),
+            storage_buffer_sized(false, None),
+            storage_buffer_sized(false, None),
+        ),
+    );
+    ComputePass::new(LABEL, &entries, shader, "gather", vec![], cache)
+}
+
+/// What one dispatch reads and writes.
+pub(super) struct Bindings<'a> {
+    pub frame: &'a GpuSmokeFrame,
+    pub lighting: &'a Buffer,
+    pub environment: &'a Buffer,
+    pub sampler: &'a Sampler,
+    pub probes: &'a Buffer,
+    pub escapes: &'a Buffer,
+    pub columns: &'a Buffer,
+}
+
+pub(super) fn bind(pass: &ComputePass, b: Bindings, device: &RenderDevice, cache: &PipelineCache) -> BindGroup {
+    pass.bind(
+        device,
+        cache,
+        (
+            b.frame.uniform.as_entire_binding(),
+            b.lighting.as_entire_binding(),
+            b.frame.rbfs.as_entire_binding(),
+            b.environment.as_entire_binding(),
+            &b.frame.coarse,
+            b.sampler,
+            b.probes.as_entire_binding(),
+            b.escapes.as_entire_binding(),
+            b.columns.as_entire_binding(),
+        ),
+    )
+}
+
+/// One workgroup a probe.
+pub(super) fn workgroups(frame: &GpuSmokeFrame) -> UVec3 {
+    UVec3::new(frame.rbf_count, PROBES, 1)
+}
+
+/// Lights the probes of every volume whose light, medium or density changed.
+pub(super) fn incident_light(
+    work: Res<SmokeWork>,
+    passes: Res<SmokePasses>,
+    cache: Res<PipelineCache>,
+    stats: Res<SmokeRenderStats>,
+    mut ctx: RenderContext,
+) {
+    passes.incident_light.run(&work.incident_light, &cache, &stats.incident_light, &mut ctx);
+}

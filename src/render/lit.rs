@@ -1,0 +1,333 @@
+//! A volume as a light and as the eyes see it: the buffers, bindings and texture that outlive a frame, and the work that
+//! brings them up to date.
+
+use std::sync::Arc;
+
+use bevy::platform::collections::HashMap;
+use bevy::prelude::*;
+use bevy::render::render_resource::encase::internal::WriteInto;
+use bevy::render::render_resource::{
+    BindGroup, Buffer, BufferDescriptor, BufferId, BufferUsages, ShaderType, TextureView, UniformBuffer,
+};
+use bevy::render::renderer::RenderDevice;
+use bevy::render::view::RetainedViewEntity;
+
+use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, texture_3d};
+use super::incident_light::{COLUMN_BYTES, ESCAPE_BYTES, PROBE_BYTES};
+use super::lighting::LightingUniform;
+use super::outgoing::{LookUniform, OUTGOING_BYTES, SHADE_BYTES};
+use super::pair_matrix::ROW_BYTES;
+use super::pass::Job;
+use super::prepare::Gpu;
+use super::scattering::{self, CONTROL_BYTES, SOURCE_BYTES, STATE_BYTES, SWEEPS, ScatteringJob, StepUniform};
+use super::view::SmokeUniform;
+use super::{SmokeWork, incident_light, outgoing, pair_matrix, volume};
+use crate::density::GridShape;
+use crate::scattering::ScatteringChoice;
+
+/// A volume lit by an environment and lamps.
+pub(super) struct LitVolume {
+    pub frame: BufferId,
+    /// Whether light that scatters more than once is drawn, and why.
+    pub choice: ScatteringChoice,
+    environment: BufferId,
+    environment_version: u32,
+    uniform: Cached<LightingUniform>,
+    light: LightBuffers,
+    incident_light: BindGroup,
+    transport: Option<Transport>,
+    /// Counts the changes.
+    version: u32,
+    pub last_used: u32,
+    pub sliced: HashMap<Option<RetainedViewEntity>, SlicedVolume>,
+}
+
+/// The light at the probes, and what the RBFs see of each other.
+struct LightBuffers {
+    probes: Buffer,
+    escapes: Buffer,
+    columns: Buffer,
+    gathered: Buffer,
+    rows: Buffer,
+}
+
+/// What light that scatters more than once takes.
+struct Transport {
+    pair_matrix: BindGroup,
+    /// The extinction that the matrix was made with.
+    matrix_sigma: Option<f32>,
+    steps: [Cached<StepUniform>; SWEEPS as usize + 1],
+    #[cfg_attr(not(feature = "cli"), expect(dead_code, reason = "only tools read back what the solver did"))]
+    control: Buffer,
+    bind_groups: Arc<scattering::BindGroups>,
+}
+
+/// A lit volume as an eye sees it: its 3D texture.
+pub(super) struct SlicedVolume {
+    look: Cached<LookUniform>,
+    lit_version: u32,
+    pub texture: TextureView,
+    outgoing: BindGroup,
+    volume: BindGroup,
+    pub last_used: u32,
+    pub seen: HashMap<RetainedViewEntity, SeenVolume>,
+}
+
+/// A 3D texture as one view draws it.
+pub(super) struct SeenVolume {
+    uniform: Cached<SmokeUniform>,
+    bind_group: BindGroup,
+    pub last_used: u32,
+}
+
+/// A uniform buffer that knows what is in it.
+struct Cached<T: ShaderType + WriteInto + Clone + PartialEq> {
+    value: T,
+    buffer: UniformBuffer<T>,
+}
+
+impl<T: ShaderType + WriteInto + Clone + PartialEq> Cached<T> {
+    fn new(value: T, gpu: &Gpu) -> Self {
+        let mut buffer = UniformBuffer::from(value.clone());
+        buffer.write_buffer(gpu.device, gpu.queue);
+        Self { value, buffer }
+    }
+
+    /// Stores a value; whether it is another than before.
+    fn set(&mut self, value: T, gpu: &Gpu) -> bool {
+        if self.value == value {
+            return false;
+        }
+        self.buffer.set(value.clone());
+        self.buffer.write_buffer(gpu.device, gpu.queue);
+        self.value = value;
+        true
+    }
+
+    fn buffer(&self) -> &Buffer {
+        self.buffer.buffer().expect("written when it was made")
+    }
+}
+
+/// A volume's light in a frame, ready for the GPU.
+pub(super) struct FrameLight<'a> {
+    /// The environment's coefficients, and how often they have changed.
+    pub coefficients: &'a Buffer,
+    pub environment_version: u32,
+    pub uniform: LightingUniform,
+    pub choice: ScatteringChoice,
+    pub tolerance: f32,
+}
+
+impl LitVolume {
+    pub fn new(frame: &GpuSmokeFrame, light: &FrameLight, gpu: &Gpu) -> Self {
+        let buffer = |label, bytes| storage_buffer(gpu.device, label, u64::from(frame.rbf_count.max(1)) * bytes);
+        let buffers = LightBuffers {
+            probes: buffer("smoke_probes", PROBE_BYTES),
+            escapes: buffer("smoke_escapes", ESCAPE_BYTES),
+            columns: buffer("smoke_lamp_columns", COLUMN_BYTES),
+            gathered: buffer("smoke_gathered", 16 * 16),
+            rows: buffer("smoke_pair_rows", ROW_BYTES),
+        };
+        let uniform = Cached::new(light.uniform.clone(), gpu);
+        let bindings = incident_light::Bindings {
+            frame,
+            lighting: uniform.buffer(),
+            environment: light.coefficients,
+            sampler: gpu.sampler,
+            probes: &buffers.probes,
+            escapes: &buffers.escapes,
+            columns: &buffers.columns,
+        };
+        Self {
+            incident_light: incident_light::bind(&gpu.passes.incident_light, bindings, gpu.device, gpu.cache),
+            frame: frame.uniform.id(),
+            choice: light.choice,
+            environment: light.coefficients.id(),
+            // Older than any environment: lit at the first look.
+            environment_version: 0,
+            uniform,
+            light: buffers,
+            transport: None,
+            version: 0,
+            last_used: 0,
+            sliced: HashMap::default(),
+        }
+    }
+
+    /// Whether this is of another frame, or of coefficients that have been let go since.
+    pub fn is_of(&self, frame: &GpuSmokeFrame, light: &FrameLight) -> bool {
+        self.frame == frame.uniform.id() && self.environment == light.coefficients.id()
+    }
+
+    pub fn update(&mut self, frame: &GpuSmokeFrame, light: FrameLight, now: u32, gpu: &Gpu, work: &mut SmokeWork) {
+        self.last_used = now;
+        self.choice = light.choice;
+        let (sigma, coefficients) = (light.uniform.sigma_mean, light.uniform.coefficients);
+        let mut changed =
+            self.uniform.set(light.uniform, gpu) | (self.environment_version != light.environment_version);
+        if coefficients == 0 {
+            self.transport = None;
+        } else {
+            let transport =
+                self.transport.get_or_insert_with(|| Transport::new(frame, &self.uniform, &self.light, gpu));
+            for (step, value) in transport.steps.iter_mut().zip(StepUniform::all(light.tolerance)) {
+                changed |= step.set(value, gpu);
+            }
+            if transport.matrix_sigma != Some(sigma) {
+                transport.matrix_sigma = Some(sigma);
+                changed = true;
+                let bind_group = transport.pair_matrix.clone();
+                work.pair_matrix.push(Job { bind_group, workgroups: pair_matrix::workgroups(frame) });
+            }
+        }
+        if changed {
+            self.environment_version = light.environment_version;
+            self.version += 1;
+            let workgroups = incident_light::workgroups(frame);
+            work.incident_light.push(Job { bind_group: self.incident_light.clone(), workgroups });
+            if let Some(transport) = &self.transport {
+                let bind_groups = transport.bind_groups.clone();
+                work.scattering.push(ScatteringJob { bind_groups, rbf_count: frame.rbf_count, coefficients });
+            }
+        }
+    }
+
+    /// The 3D texture for a view, or for all.
+    pub fn slice(
+        &mut self,
+        view: Option<RetainedViewEntity>,
+        eye: Vec4,
+        frame: &GpuSmokeFrame,
+        shape: GridShape,
+        now: u32,
+        gpu: &Gpu,
+        work: &mut SmokeWork,
+    ) -> &mut SlicedVolume {
+        let lit = &*self;
+        let version = lit.version;
+        if !lit.sliced.contains_key(&view) {
+            let sliced = SlicedVolume::new(eye, frame, shape, lit, gpu);
+            self.sliced.insert(view, sliced);
+        }
+        let sliced = self.sliced.get_mut(&view).expect("just inserted where it was missing");
+        sliced.last_used = now;
+        let changed = sliced.look.set(LookUniform { eye }, gpu) | (sliced.lit_version != version);
+        if changed {
+            sliced.lit_version = version;
+            let bind_group = sliced.outgoing.clone();
+            work.outgoing.push(Job { bind_group, workgroups: outgoing::workgroups(frame) });
+            let bind_group = sliced.volume.clone();
+            work.volume.push(Job { bind_group, workgroups: volume::workgroups(shape) });
+        }
+        sliced
+    }
+
+    /// The solver's report, where there is a solver.
+    #[cfg(feature = "cli")]
+    pub fn control(&self) -> Option<&Buffer> {
+        self.transport.as_ref().map(|transport| &transport.control)
+    }
+}
+
+impl Transport {
+    fn new(frame: &GpuSmokeFrame, lighting: &Cached<LightingUniform>, light: &LightBuffers, gpu: &Gpu) -> Self {
+        let count = u64::from(frame.rbf_count.max(1));
+        let buffer = |label, bytes| storage_buffer(gpu.device, label, bytes);
+        let matrix = buffer("smoke_pair_matrix", 4 * count * count);
+        let sources = buffer("smoke_scattering_sources", count * SOURCE_BYTES);
+        let states = buffer("smoke_scattering_states", count * STATE_BYTES);
+        let control = buffer("smoke_scattering_control", CONTROL_BYTES);
+        let steps = StepUniform::all(0.0).map(|step| Cached::new(step, gpu));
+        let step_buffers = steps.each_ref().map(|step| step.buffer().clone());
+        let bindings = scattering::Bindings {
+            frame,
+            lighting: lighting.buffer(),
+            footprints: gpu.footprints,
+            steps: &step_buffers,
+            probes: &light.probes,
+            escapes: &light.escapes,
+            columns: &light.columns,
+            matrix: &matrix,
+            rows: &light.rows,
+            sources: &sources,
+            states: &states,
+            gathered: &light.gathered,
+            control: &control,
+        };
+        let relate = pair_matrix::Bindings {
+            frame,
+            lighting: lighting.buffer(),
+            footprints: gpu.footprints,
+            sampler: gpu.sampler,
+            matrix: &matrix,
+            rows: &light.rows,
+        };
+        Self {
+            pair_matrix: pair_matrix::bind(&gpu.passes.pair_matrix, relate, gpu.device, gpu.cache),
+            matrix_sigma: None,
+            bind_groups: Arc::new(gpu.passes.scattering.bind(&bindings, gpu.device, gpu.cache)),
+            steps,
+            control,
+        }
+    }
+}
+
+impl SlicedVolume {
+    fn new(eye: Vec4, frame: &GpuSmokeFrame, shape: GridShape, lit: &LitVolume, gpu: &Gpu) -> Self {
+        let buffer = |label, bytes| storage_buffer(gpu.device, label, u64::from(frame.rbf_count.max(1)) * bytes);
+        let outgoing = buffer("smoke_outgoing", OUTGOING_BYTES);
+        let shades = buffer("smoke_shades", SHADE_BYTES);
+        let texture = texture_3d(gpu.device, "smoke_volume", shape.dims + 2, FILTERED_FORMAT);
+        let look = Cached::new(LookUniform { eye }, gpu);
+        let leave = outgoing::Bindings {
+            frame,
+            lighting: lit.uniform.buffer(),
+            look: look.buffer(),
+            probes: &lit.light.probes,
+            escapes: &lit.light.escapes,
+            gathered: &lit.light.gathered,
+            rows: &lit.light.rows,
+            columns: &lit.light.columns,
+            outgoing: &outgoing,
+            shades: &shades,
+        };
+        let reconstruct = volume::Bindings {
+            frame,
+            lighting: lit.uniform.buffer(),
+            look: look.buffer(),
+            outgoing: &outgoing,
+            shades: &shades,
+            volume: &texture,
+        };
+        Self {
+            outgoing: outgoing::bind(&gpu.passes.outgoing, leave, gpu.device, gpu.cache),
+            volume: volume::bind(&gpu.passes.volume, reconstruct, gpu.device, gpu.cache),
+            look,
+            // Older than any lit volume.
+            lit_version: 0,
+            texture,
+            last_used: 0,
+            seen: HashMap::default(),
+        }
+    }
+
+    /// What a view binds to draw it.
+    pub fn see(&mut self, view: RetainedViewEntity, uniform: SmokeUniform, now: u32, gpu: &Gpu) -> BindGroup {
+        let texture = &self.texture;
+        let seen = self.seen.entry(view).or_insert_with(|| {
+            let uniform = Cached::new(uniform.clone(), gpu);
+            let bindings = (uniform.buffer(), texture, gpu.sampler);
+            let bind_group = gpu.view_pass.bind(bindings, gpu.device, gpu.cache);
+            SeenVolume { uniform, bind_group, last_used: now }
+        });
+        seen.last_used = now;
+        seen.uniform.set(uniform, gpu);
+        seen.bind_group.clone()
+    }
+}
+
+fn storage_buffer(device: &RenderDevice, label: &str, size: u64) -> Buffer {
+    let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
+    device.create_buffer(&BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
+}

@@ -1,0 +1,67 @@
+// What starts multiple scattering: the mean source radiance of every RBF's probes due to light that has not scattered
+// yet, the environment's and the lamps' (projected to SH), and how much of what the RBF sees is not smoke:
+//     S_k = Omega' g'^l mean_i (L_d,ik + sum_lamps E_i exp(-tau_i) y_k(w_i)),   escape = mean_i escape_i.
+// The RBFs around tell roughly in which directions smoke is seen, H_k; the probes' transmittance T_k tells exactly. The
+// difference, times the mean radiance seen G_0, is light too:
+//     C_k = (-T_k - (1 - T_0 / sqrt(4 pi)) H_k) / sqrt(4 pi),   k >= 1.
+// Also readies the solution of the frame before to start from.
+#import bevy_smoke::frame::{Frame, Rbf}
+#import bevy_smoke::sh::{basis, band, SH_COEFFICIENTS}
+#import bevy_smoke::lighting::{Lighting, arriving_from, probe_position, MAX_LAMPS, PI, PROBES}
+#import bevy_smoke::scattering::{Control, source_stride}
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<uniform> lighting: Lighting;
+@group(0) @binding(2) var<storage, read> rbfs: array<Rbf>;
+@group(0) @binding(3) var<storage, read> probes: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> escapes: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> columns: array<f32>;
+@group(0) @binding(6) var<storage, read> rows: array<f32>;
+// S_k, with C_k in alpha; after the coefficients, escape.
+@group(0) @binding(7) var<storage, read_write> sources: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read_write> states: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read_write> control: Control;
+
+@compute @workgroup_size(64)
+fn start(@builtin(global_invocation_id) id: vec3<u32>) {
+    let coefficients = lighting.coefficients;
+    let l = id.x / coefficients;
+    let k = id.x % coefficients;
+    if id.x == 0u {
+        control = Control();
+    }
+    if l >= frame.rbf_count {
+        return;
+    }
+    let rbf = rbfs[l];
+    var light = vec3(0.0);
+    var escape = vec3(0.0);
+    // Transmittance: coefficients 0 and k.
+    var passing = vec2(0.0);
+    for (var i = 0u; i < PROBES; i++) {
+        let probe = l * PROBES + i;
+        let found = probes[probe * SH_COEFFICIENTS + k];
+        light += found.rgb;
+        escape += escapes[probe].rgb;
+        passing += vec2(probes[probe * SH_COEFFICIENTS].a, found.a);
+        let point = probe_position(rbf.center, rbf.radius, i);
+        for (var j = 0u; j < lighting.lamp_count; j++) {
+            let lamp = arriving_from(lighting.lamps[j], point, lighting.min_distance_squared);
+            let kept = exp(-lighting.sigma * columns[probe * MAX_LAMPS + j]);
+            light += lamp.irradiance * kept * basis(lamp.direction)[k];
+        }
+    }
+    let mean = 1.0 / f32(PROBES);
+    passing *= mean;
+    let root = sqrt(4.0 * PI);
+    let view = rows[l * SH_COEFFICIENTS + k];
+    let correction = select((-passing.y - (1.0 - passing.x / root) * view) / root, 0.0, k == 0u);
+    let source = l * source_stride(coefficients);
+    sources[source + k] = vec4(mean * light * lighting.inner[band(k)].rgb, correction);
+    if k == 0u {
+        sources[source + coefficients] = vec4(mean * escape, 0.0);
+    }
+    // What is not a number must not outlive its frame.
+    let before = states[id.x];
+    states[id.x] = select(vec4(0.0), before, abs(before) < vec4(1e30));
+}
