@@ -62,16 +62,21 @@ impl GridShape {
         UVec3::new((index % nx) as u32, (index / nx % ny) as u32, (index / (nx * ny)) as u32)
     }
 
-    /// The coarse grid on which optical depth is marched: cubes of `h = max(1, longest / 64)` fine cells a side
-    /// (`h` is real), `ceil(dims / h)` of them, centred on this box. It covers the box and may stick out by less
-    /// than one coarse cell in all.
+    /// The coarse grid on which optical depth is marched: [`COARSE_CELLS`] cells along the longest side.
     pub fn coarse(&self) -> GridShape {
+        self.coarsened(COARSE_CELLS)
+    }
+
+    /// A grid of at most `cells` cells a side: cubes of `h = max(1, longest / cells)` cells of this one a side (`h` is
+    /// real), `ceil(dims / h)` of them, centred on this box. It covers the box and may stick out by less than one of its
+    /// own cells in all.
+    pub fn coarsened(&self, cells: u32) -> GridShape {
         let longest = self.longest();
-        if longest <= COARSE_CELLS {
+        if longest <= cells {
             return *self;
         }
-        // ceil(d / (longest / 64)) in whole numbers, so that rounding cannot add a cell.
-        let cells = |d: u32| (u64::from(d) * u64::from(COARSE_CELLS)).div_ceil(u64::from(longest)) as u32;
+        // ceil(d / (longest / cells)) in whole numbers, so that rounding cannot add a cell.
+        let cells = |d: u32| (u64::from(d) * u64::from(cells)).div_ceil(u64::from(longest)) as u32;
         GridShape::new(UVec3::new(cells(self.dims.x), cells(self.dims.y), cells(self.dims.z)))
     }
 }
@@ -202,9 +207,9 @@ mod tests {
     #[test]
     fn coarse_grid() {
         let coarse = |x, y, z| GridShape::new(UVec3::new(x, y, z)).coarse().dims;
-        assert_eq!(coarse(128, 128, 128), UVec3::splat(32));
-        assert_eq!(coarse(111, 222, 112), UVec3::new(16, 32, 17));
+        assert_eq!(coarse(128, 128, 128), UVec3::splat(64));
+        assert_eq!(coarse(111, 222, 112), UVec3::new(32, 64, 33));
         assert_eq!(coarse(20, 32, 1), UVec3::new(20, 32, 1), "no finer than the grid itself");
-        assert_eq!(coarse(33, 1, 32), UVec3::new(32, 1, 32));
+        assert_eq!(coarse(65, 1, 64), UVec3::new(64, 1, 64));
     }
 }

@@ -16,11 +16,7 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use super::{
-    Grid, Medium,
-    outgoing::{Outgoing, linear_fit},
-    source_radiance::probes,
-    taylor::Taylor,
-    trilinear,
+    Grid, Medium, PROBES, cell_size, center, incident_light::probes, outgoing::Outgoing, taylor::Taylor, trilinear,
     volume::blend,
 };
 use crate::{
@@ -65,14 +61,29 @@ pub struct Field {
     pub media: Vec<Option<[Taylor; 3]>>,
 }
 
-/// Single scattering at the cells' centres, from the source radiance of every RBF's four probes: linear around each
-/// RBF, and between RBFs with the weights of [`volume`](super::volume::volume).
-pub fn cell_source(rbfs: &[Rbf], probes: &[[ShRgb; 4]], shape: GridShape) -> Vec<[Taylor; 3]> {
+/// Cells a side, at most, of the grid that is solved on.
+pub const CELLS: u32 = 32;
+
+/// The density of the cells of [`CELLS`] a side, from the coarse grid: the mean of eight points in every cell.
+pub fn cells(coarse: &Grid) -> Grid {
+    let shape = coarse.shape.coarsened(CELLS);
+    let quarter = 0.25 * cell_size(shape);
+    let density = |index: usize| {
+        let x = center(shape, shape.cell(index));
+        let corner = |i: u32| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2)) * 2.0 - 1.0;
+        (0..8).map(|i| coarse.sample(x + corner(i) * quarter)).sum::<f64>() / 8.0
+    };
+    Grid { shape, values: (0..shape.len()).map(density).collect() }
+}
+
+/// Single scattering at the cells' centres, from the source radiance of every RBF's probes: quadratic around each RBF,
+/// and between RBFs with the weights of [`volume`](super::volume::volume).
+pub fn cell_source(rbfs: &[Rbf], probes: &[[ShRgb; PROBES]], shape: GridShape) -> Vec<[Taylor; 3]> {
     let bins = RbfBins::new(rbfs, shape);
     let fits: Vec<[Outgoing; 4]> = rbfs
         .iter()
         .zip(probes)
-        .map(|(rbf, probes)| core::array::from_fn(|k| linear_fit(probes.map(|sh| sh.0[k]), rbf.radius.into())))
+        .map(|(rbf, probes)| core::array::from_fn(|k| Outgoing::through(probes.map(|sh| sh.0[k]), rbf.radius.into())))
         .collect();
     (0..shape.len())
         .into_par_iter()
@@ -81,7 +92,7 @@ pub fn cell_source(rbfs: &[Rbf], probes: &[[ShRgb; 4]], shape: GridShape) -> Vec
             let mut sh = ShRgb::default();
             for (k, coefficient) in sh.0.iter_mut().enumerate().take(4) {
                 let list = bins.at(cell).iter().map(|&l| (&rbfs[l as usize], &fits[l as usize][k]));
-                *coefficient = blend(super::center(shape, cell), list);
+                *coefficient = blend(center(shape, cell), list);
             }
             core::array::from_fn(|channel| Taylor::of(&sh, channel))
         })
@@ -106,7 +117,7 @@ struct Operator {
 impl Operator {
     fn new(coarse: &Grid, medium: &Medium, channel: usize, free_path: f64) -> Self {
         let shape = coarse.shape;
-        let side = super::cell_size(shape);
+        let side = cell_size(shape);
         let albedo = medium.albedo[channel];
         let extinction: Vec<f64> = coarse
             .values
@@ -294,8 +305,8 @@ impl Field {
         if total > 0.0 { sum.map(|taylor| taylor * (1.0 / total)) } else { sum }
     }
 
-    /// J_ms at the four probes of every RBF, as functions of the look direction: bands 0 and 1.
-    pub fn scatter(&self, rbfs: &[Rbf], medium: &Medium) -> Vec<[ShRgb; 4]> {
+    /// J_ms at the probes of every RBF, as functions of the look direction: bands 0 and 1.
+    pub fn scatter(&self, rbfs: &[Rbf], medium: &Medium) -> Vec<[ShRgb; PROBES]> {
         let factors = henyey_greenstein_factors(medium.g);
         let scatter = |p: DVec3| Sh(Taylor::sh(self.sample(p)).convolve(&factors).0.map(|c| c * medium.albedo));
         rbfs.iter().map(|rbf| probes(rbf).map(scatter)).collect()
@@ -308,7 +319,7 @@ mod tests {
 
     use super::*;
     use crate::reference::{
-        center, rbf_center,
+        rbf_center,
         sphere::{self, Equation, Sphere},
     };
 
@@ -486,13 +497,13 @@ mod tests {
             Rbf { center: [0.1, 0.05, 0.0], radius: 0.08, weight: 0.7 },
         ];
         let at = |x: DVec3| Taylor { mean: 2.0 + x.x, first: DVec3::new(x.y, 0.1, -0.5 * x.z) };
-        let light: Vec<[ShRgb; 4]> = rbfs.iter().map(|rbf| probes(rbf).map(|p| Taylor::sh([at(p); 3]))).collect();
+        let light: Vec<[ShRgb; PROBES]> = rbfs.iter().map(|rbf| probes(rbf).map(|p| Taylor::sh([at(p); 3]))).collect();
         let shape = GridShape::new(UVec3::new(32, 16, 16));
         let found = cell_source(&rbfs, &light, shape);
         for (i, rgb) in found.iter().enumerate() {
             let x = center(shape, shape.cell(i));
-            // Within two radii offsets are not shortened.
-            if rbfs.iter().all(|rbf| (x - rbf_center(rbf)).length() < 2.0 * f64::from(rbf.radius)) {
+            // Within 1.5 radii offsets are not shortened.
+            if rbfs.iter().all(|rbf| (x - rbf_center(rbf)).length() < 1.5 * f64::from(rbf.radius)) {
                 let expected = at(x);
                 assert!((rgb[2].mean - expected.mean).abs() + (rgb[2].first - expected.first).length() < 1e-6, "{x}");
             }

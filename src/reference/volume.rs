@@ -61,9 +61,8 @@ fn interpolate<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>
     blend(x, rbfs).max(DVec3::ZERO)
 }
 
-/// Σ φ (J̄ + G δ) / Σ φ, with φ = w (exp(−u²) + 1e-6/(1+u²)²), u = |x−c|/r, and δ = x−c, but no longer
-/// than 2r. The tail of φ carries radiance beyond the Gaussians; the shorter δ keeps it bounded there. Black without
-/// any RBF.
+/// J(x) = Σ φ J_l(x) / Σ φ, with φ = w (exp(−u²) + 1e-6/(1+u²)²), u = |x−c|/r, of the RBFs' fits. The tail of φ carries
+/// radiance beyond the Gaussians. Black without any RBF.
 pub(super) fn blend<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>) -> DVec3 {
     let (mut sum, mut total) = (DVec3::ZERO, 0.0);
     for (rbf, outgoing) in rbfs {
@@ -71,8 +70,7 @@ pub(super) fn blend<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgo
         let offset = x - rbf_center(rbf);
         let u_squared = offset.length_squared() / (radius * radius);
         let phi = weight * ((-u_squared).exp() + 1e-6 / (1.0 + u_squared).powi(2));
-        let delta = offset.clamp_length_max(2.0 * radius);
-        sum += phi * (outgoing.mean + outgoing.gradient * delta);
+        sum += phi * outgoing.value(offset, radius);
         total += phi;
     }
     if total > 0.0 { sum / total } else { DVec3::ZERO }
@@ -90,6 +88,15 @@ mod tests {
         vec![at(0.0, 0.1, 0.0, 0.06, 1.0), at(-0.1, -0.2, 0.05, 0.04, 0.3), at(0.2, 0.0, -0.1, 0.05, 2.0)]
     }
 
+    fn linear(center: DVec3, gradient: DMat3) -> Outgoing {
+        let bounds = [f64::NEG_INFINITY, f64::INFINITY].map(DVec3::splat);
+        Outgoing { center, gradient, curvature: DMat3::ZERO, low: bounds[0], high: bounds[1] }
+    }
+
+    fn constant(center: DVec3) -> Outgoing {
+        linear(center, DMat3::ZERO)
+    }
+
     fn build(outgoing: impl Fn(&Rbf) -> Outgoing) -> Volume {
         let (rbfs, shape) = (rbfs(), GridShape::new(DIMS));
         let outgoing: Vec<_> = rbfs.iter().map(outgoing).collect();
@@ -101,7 +108,7 @@ mod tests {
     fn a_constant_reproduces_itself_everywhere() {
         // Also far outside every Gaussian, where exp(−u²) underflows the f32 of the pass but the tail does not.
         let rgb = DVec3::new(1.0, 0.5, 0.25);
-        let volume = build(|_| Outgoing { mean: rgb, gradient: DMat3::ZERO });
+        let volume = build(|_| constant(rgb));
         assert_eq!(volume.radiance.len(), 22 * 34 * 13);
         for j in &volume.radiance {
             assert!((*j - rgb).length() < 1e-14);
@@ -116,25 +123,25 @@ mod tests {
         let gradient =
             DMat3::from_cols(DVec3::new(1.0, 0.2, 0.0), DVec3::new(-0.5, 0.0, 0.3), DVec3::new(0.7, 0.1, -0.2));
         let field = |x: DVec3| DVec3::ONE + gradient * x;
-        let volume = build(|rbf| Outgoing { mean: field(rbf_center(rbf)), gradient });
-        // Wherever no listed Gaussian is further than 2r, or those that are weigh nothing: at the three centres. A far
+        let volume = build(|rbf| linear(field(rbf_center(rbf)), gradient));
+        // Wherever no listed Gaussian is further than 1.5r, or those that are weigh nothing: at the three centres. A far
         // one's share is at most its tail, 1e-6 · w ratio 7, times a field difference below 1.
         let rbfs = rbfs();
         for rbf in &rbfs {
             let x = rbf_center(rbf) + DVec3::new(0.02, -0.01, 0.01);
             assert!((volume.sample(x).0 - field(x)).length() < 1e-5);
         }
-        // One RBF alone, 6 radii away: the offset is shortened to 2.
+        // One RBF alone, 6 radii away: the offset is shortened to 1.5.
         let x = rbf_center(&rbfs[0]) + DVec3::X * 0.36;
-        let outgoing = Outgoing { mean: DVec3::ONE, gradient };
-        let expected = DVec3::ONE + gradient * DVec3::X * (2.0 * f64::from(rbfs[0].radius));
+        let outgoing = linear(DVec3::ONE, gradient);
+        let expected = DVec3::ONE + gradient * DVec3::X * (1.5 * f64::from(rbfs[0].radius));
         assert!((interpolate(x, [(&rbfs[0], &outgoing)].into_iter()) - expected).length() < 1e-12);
     }
 
     #[test]
     fn weights_follow_the_formula() {
         let rbfs = rbfs();
-        let [a, b] = [1.0, 3.0].map(|j| Outgoing { mean: DVec3::splat(j), gradient: DMat3::ZERO });
+        let [a, b] = [1.0, 3.0].map(|j| constant(DVec3::splat(j)));
         // x on rbf 0's centre; |c0−c1|² = 0.01 + 0.09 + 0.0025, u1² = 0.1025/0.0016 = 64.0625: only its tail is left.
         let x = DVec3::new(0.0, 0.1, 0.0);
         let (phi0, phi1) = (1.0 + 1e-6, 0.3 * 1e-6 / 65.0625f64.powi(2));
@@ -147,7 +154,7 @@ mod tests {
     #[test]
     fn radiance_is_never_negative_and_black_without_rbfs() {
         let gradient = DMat3::from_diagonal(DVec3::splat(100.0));
-        let volume = build(|_| Outgoing { mean: DVec3::ONE, gradient });
+        let volume = build(|_| linear(DVec3::ONE, gradient));
         assert!(volume.radiance.iter().all(|j| j.min_element() >= 0.0));
         assert!(volume.radiance.iter().any(|j| j.min_element() == 0.0));
         let shape = GridShape::new(UVec3::splat(3));
@@ -158,7 +165,7 @@ mod tests {
 
     #[test]
     fn density_is_copied_and_padded_with_zeros() {
-        let volume = build(|_| Outgoing { mean: DVec3::ONE, gradient: DMat3::ZERO });
+        let volume = build(|_| constant(DVec3::ONE));
         let (shape, padded) = (volume.shape, GridShape::new(DIMS + 2));
         for index in 0..shape.len() {
             let cell = shape.cell(index);

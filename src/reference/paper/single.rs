@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::DepthTable;
 use crate::{
     rbf::Rbf,
-    reference::{Medium, rbf_center, source_radiance::Lighting},
+    reference::{Medium, incident_light::Lighting, rbf_center},
     sh::{BANDS, Exponential, Sh, ShRgb, henyey_greenstein_factors},
 };
 
