@@ -13,6 +13,8 @@ use super::lamp::Lamp;
 use crate::bundle::SmokeAnimation;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
+#[cfg(feature = "reference")]
+use crate::paper::SmokePaper;
 use crate::scattering::SmokeScattering;
 use crate::volume::SmokeVolume;
 
@@ -32,6 +34,8 @@ pub(super) struct ExtractedVolume {
     pub medium: SmokeMedium,
     pub environment: SmokeEnvironment,
     pub scattering: SmokeScattering,
+    #[cfg(feature = "reference")]
+    pub paper: Option<SmokePaper>,
     pub layers: RenderLayers,
 }
 
@@ -70,6 +74,7 @@ pub(super) fn extract_smoke(
             Option<&RenderLayers>,
         )>,
     >,
+    #[cfg(feature = "reference")] papers: Extract<Query<&SmokePaper>>,
     cameras: Extract<Query<(Entity, Option<&EnvironmentMapLight>, Option<&AmbientLight>), With<Camera3d>>>,
     ambient: Extract<Option<Res<GlobalAmbientLight>>>,
     suns: Extract<LampQuery<DirectionalLight>>,
@@ -90,6 +95,8 @@ pub(super) fn extract_smoke(
             medium: clamped,
             environment: environment.clone(),
             scattering: *scattering,
+            #[cfg(feature = "reference")]
+            paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),
         };
         smoke.volumes.insert(entity.into(), extracted);
