@@ -25,9 +25,9 @@ use super::footprint::Footprints;
 use super::frame::{GpuSmokeAnimation, GpuSmokeFrame};
 use super::lamp::lamps_of;
 use super::light::{Environments, Light, LightKey, Lit};
-use super::lighting::LightingUniform;
+use super::lighting::{LightingUniform, MAX_LAMPS};
 use super::lit::{FrameLight, LitVolume};
-use super::view::{SmokeUniform, ViewPass, ViewSmoke, ViewSmokeVolume};
+use super::view::{Glow, SmokeUniform, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokePasses, SmokeRenderStats, SmokeWork, coarse, density};
 use crate::density::GridShape;
 use crate::scattering::{ScatteringChoice, ScatteringEvents};
@@ -44,6 +44,9 @@ pub(super) struct SmokeCache {
     volumes: HashMap<(MainEntity, LightKey), LitVolume>,
     shared: Option<Shared>,
 }
+
+/// Lamps are softened over so many cells, and their glow within is drawn by the view pass.
+const SOFTENING_CELLS: f32 = 1.5;
 
 /// What all volumes share.
 struct Shared {
@@ -147,6 +150,7 @@ pub(super) fn prepare_smoke(
             let choice = placed.choose_scattering(volume, frame, before, &device);
             stats.set_scattering(volume_entity, choice);
             let (uniform, unit) = placed.lighting(volume, &lit, &smoke, choice.multiple);
+            let glows = Glow::all(&uniform, placed.shape.half_extent());
             let light = FrameLight {
                 coefficients: lit.coefficients,
                 environment_version: lit.version,
@@ -170,7 +174,7 @@ pub(super) fn prepare_smoke(
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
             let sliced = lit_volume.slice(key, look, frame, animation.shape, *now, &gpu, &mut work);
-            let uniform = placed.smoke_uniform(view, eye, volume, unit * camera.exposure);
+            let uniform = placed.smoke_uniform(view, eye, volume, unit * camera.exposure, glows);
             if let Some(uniform) = uniform {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
                 drawn.push(ViewSmokeVolume { distance: placed.distance(view), bind_group });
@@ -253,8 +257,7 @@ impl Placed {
             ambient: lit.ambient.map(|ambient| if ambient == 0.0 { 0.0 } else { relative(ambient) }),
             environment_scale: relative(lit.intensity),
             lamp_count: lamps.len() as u32,
-            // Bevy's own limit is a centimetre; in a cell the mean of 1/d² is about 8 over the cell's side squared.
-            min_distance_squared: (1e-4 / (self.scale * self.scale)).max(self.shape.cell_size().powi(2) / 8.0),
+            softening: (SOFTENING_CELLS * self.shape.cell_size()).powi(2),
             ..LightingUniform::of_medium(&volume.medium, self.sigma(volume), multiple)
         };
         for (slot, lamp) in uniform.lamps.iter_mut().zip(lamps) {
@@ -326,6 +329,7 @@ impl Placed {
         eye: Vec4,
         volume: &ExtractedVolume,
         radiance_scale: f32,
+        (glow_count, glows): (u32, [Glow; MAX_LAMPS]),
     ) -> Option<SmokeUniform> {
         let bundle_from_view = Mat4::from(self.bundle_from_view(view));
         let half_extent = self.shape.half_extent();
@@ -339,6 +343,9 @@ impl Placed {
             cell: self.shape.cell_size(),
             sigma: self.sigma(volume),
             radiance_scale,
+            g: volume.medium.g,
+            glow_count,
+            glows,
         })
     }
 }

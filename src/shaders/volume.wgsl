@@ -80,7 +80,7 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
     var radiance = max(sum * normalize_by, vec3(0.0));
     let look = select(eye.xyz, (x - eye.xyz) / max(length(x - eye.xyz), 1e-9), eye.w > 0.0);
     for (var i = 0u; i < lighting.lamp_count; i++) {
-        let light = arriving_from(lighting.lamps[i], x, lighting.min_distance_squared);
+        let light = arriving_from(lighting.lamps[i], x, lighting.softening);
         let column = max(columns[i / 4u][i % 4u] * normalize_by, 0.0);
         // Light travels from the lamp, and on toward the eye: both against these two.
         let scattered = lighting.scatter[0].rgb * phase(dot(light.direction, look), lighting.g);
