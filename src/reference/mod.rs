@@ -12,6 +12,7 @@ pub mod compare;
 pub mod density;
 pub mod environment;
 pub mod incident_light;
+pub mod lamp;
 pub mod outgoing;
 pub mod path;
 pub mod single;
