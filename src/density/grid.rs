@@ -202,9 +202,9 @@ mod tests {
     #[test]
     fn coarse_grid() {
         let coarse = |x, y, z| GridShape::new(UVec3::new(x, y, z)).coarse().dims;
-        assert_eq!(coarse(128, 128, 128), UVec3::splat(32));
-        assert_eq!(coarse(111, 222, 112), UVec3::new(16, 32, 17));
+        assert_eq!(coarse(128, 128, 128), UVec3::splat(64));
+        assert_eq!(coarse(111, 222, 112), UVec3::new(32, 64, 33));
         assert_eq!(coarse(20, 32, 1), UVec3::new(20, 32, 1), "no finer than the grid itself");
-        assert_eq!(coarse(33, 1, 32), UVec3::new(32, 1, 32));
+        assert_eq!(coarse(65, 1, 64), UVec3::new(64, 1, 64));
     }
 }

@@ -1,16 +1,17 @@
-//! Coarse: box averages of the density, on the grid through which source radiance looks for light.
+//! Coarse: box averages of the density, on the grid through which probes look for light.
 
 use glam::UVec3;
 use rayon::prelude::*;
 
 use super::Grid;
+use crate::density::COARSE_CELLS;
 
 /// The density averaged over the cells of [`GridShape::coarse`](crate::density::GridShape::coarse): cubes of
-/// h = max(1, longest/32) fine cells a side, centred on the box. Density is constant within a fine cell here, and zero
+/// h = max(1, longest/[`COARSE_CELLS`]) fine cells a side, centred on the box. Density is constant within a fine cell here, and zero
 /// outside the box, where outer coarse cells may stick out.
 pub fn coarse(fine: &Grid) -> Grid {
     let shape = fine.shape.coarse();
-    let h = (f64::from(fine.shape.longest()) / 32.0).max(1.0);
+    let h = (f64::from(fine.shape.longest()) / f64::from(COARSE_CELLS)).max(1.0);
     // Per axis and coarse cell: the fine cells it overlaps, and by how much.
     let overlaps: [Vec<Vec<(u32, f64)>>; 3] = core::array::from_fn(|axis| {
         let (fine_dim, coarse_dim) = (fine.shape.dims[axis], shape.dims[axis]);
@@ -56,7 +57,7 @@ mod tests {
 
     #[test]
     fn mass_is_preserved() {
-        for dims in [[64, 64, 64], [40, 75, 51], [33, 1, 32], [7, 12, 32]] {
+        for dims in [[128, 64, 64], [80, 75, 101], [65, 1, 64], [7, 12, 32]] {
             let fine = grid(dims, noise);
             let coarse = coarse(&fine);
             // In bundle units a cell's volume is 1/longest³ for both.
@@ -77,7 +78,7 @@ mod tests {
 
     #[test]
     fn whole_factors_average_blocks() {
-        let fine = grid([64, 64, 64], noise);
+        let fine = grid([128, 64, 64], noise);
         let coarse = coarse(&fine);
         let cell = UVec3::new(3, 17, 31);
         let block = (0..8).map(|i| noise(cell * 2 + UVec3::new(i & 1, i >> 1 & 1, i >> 2)));
@@ -88,20 +89,20 @@ mod tests {
     fn a_ramp_stays_a_ramp() {
         // x, piecewise constant, has the averages of x up to the cells cut in two: those err by at most h⁻¹ f(1−f)/2
         // with f the cut, 1/8 of a fine cell each side here (h = 1.5, cuts in the middle of a cell).
-        let shape = GridShape::new(UVec3::new(48, 48, 20));
-        let fine = grid([48, 48, 20], |cell| center(shape, cell).x);
+        let shape = GridShape::new(UVec3::new(96, 96, 40));
+        let fine = grid([96, 96, 40], |cell| center(shape, cell).x);
         let coarse = coarse(&fine);
-        assert_eq!(coarse.shape.dims, UVec3::new(32, 32, 14));
+        assert_eq!(coarse.shape.dims, UVec3::new(64, 64, 27));
         for (index, value) in coarse.values.iter().enumerate() {
             let cell = coarse.shape.cell(index);
             let x = center(coarse.shape, cell).x;
-            // In z, 14·1.5 = 21 cells cover 20: the outermost are full to 2/3.
-            let share = if cell.z == 0 || cell.z == 13 { 2.0 / 3.0 } else { 1.0 };
-            assert!((value - share * x).abs() < 0.125 / 1.5 / 48.0 + 1e-14, "{cell}: {value} for {x}");
+            // In z, 27·1.5 = 40.5 cells cover 40: the outermost are full to 5/6.
+            let share = if cell.z == 0 || cell.z == 26 { 5.0 / 6.0 } else { 1.0 };
+            assert!((value - share * x).abs() < 0.125 / 1.5 / 96.0 + 1e-14, "{cell}: {value} for {x}");
         }
         // With a whole factor it is exact.
-        let shape = GridShape::new(UVec3::splat(64));
-        let fine = grid([64, 64, 64], |cell| center(shape, cell).x);
+        let shape = GridShape::new(UVec3::new(128, 64, 64));
+        let fine = grid([128, 64, 64], |cell| center(shape, cell).x);
         let coarse = super::coarse(&fine);
         for (index, value) in coarse.values.iter().enumerate() {
             assert!((value - center(coarse.shape, coarse.shape.cell(index)).x).abs() < 1e-14);

@@ -11,10 +11,11 @@ pub mod coarse;
 pub mod compare;
 pub mod density;
 pub mod environment;
+pub mod incident_light;
+pub mod lamp;
 pub mod outgoing;
 pub mod path;
 pub mod single;
-pub mod source_radiance;
 pub mod transport;
 pub mod view;
 pub mod volume;
@@ -23,21 +24,18 @@ use glam::{DVec3, IVec3, UVec3, Vec3};
 
 use crate::{density::GridShape, rbf::Rbf};
 
-/// Distance of the probes from the centre of their RBF, in radii.
+/// Distance of the outer probes from the centre of their RBF, in radii.
 pub const RHO: f64 = 1.0;
 /// Directions in which a probe looks for light.
 pub const DIRECTIONS: usize = 64;
 /// Samples of the coarse density along each of them.
 pub const MARCH_STEPS: usize = 20;
 
-const INV_SQRT_3: f64 = 0.577_350_269_189_625_8;
-/// The corners of a regular tetrahedron: unit vectors to the four probes of an RBF.
-pub const TETRAHEDRON: [DVec3; 4] = [
-    DVec3::new(INV_SQRT_3, INV_SQRT_3, INV_SQRT_3),
-    DVec3::new(INV_SQRT_3, -INV_SQRT_3, -INV_SQRT_3),
-    DVec3::new(-INV_SQRT_3, INV_SQRT_3, -INV_SQRT_3),
-    DVec3::new(-INV_SQRT_3, -INV_SQRT_3, INV_SQRT_3),
-];
+/// Probes of an RBF.
+pub const PROBES: usize = 7;
+/// From the centre of an RBF to its probes, in units of [`RHO`] radii: the centre itself, and both ways along each axis.
+pub const PROBE_OFFSETS: [DVec3; PROBES] =
+    [DVec3::ZERO, DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z];
 
 /// What smoke does to light.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -180,15 +178,5 @@ mod tests {
         let slanted = Ray::new(DVec3::new(0.5, 0.0, 0.0), DVec3::new(-0.6, 0.8, 0.0));
         let (start, end) = slanted.clip(half).unwrap();
         assert!(start == 0.0 && (end - 0.3125).abs() < 1e-15);
-    }
-
-    #[test]
-    fn probes_form_a_regular_tetrahedron() {
-        for (i, a) in TETRAHEDRON.iter().enumerate() {
-            for (j, b) in TETRAHEDRON.iter().enumerate() {
-                let expected = if i == j { 1.0 } else { -1.0 / 3.0 };
-                assert!((a.dot(*b) - expected).abs() < 1e-15);
-            }
-        }
     }
 }

@@ -8,9 +8,13 @@
 //! K_ll = w_l r_l (√π/2) erfcx(σ D(c_l) r_l / 2)
 //! ```
 //!
-//! Every row is scaled to sum 1 (K̂) and multiplied by 1 − τ̄, the share of directions that end in smoke. So energy is
-//! exact: where light is the same all around, white smoke (albedo 1) that scatters evenly has that radiance too, and the
-//! spectral radius is at most Ω max(1 − τ̄). No boundary conditions are needed.
+//! Every row is scaled to sum 1 (K̂) and multiplied by 1 − τ̄, the share of directions that end in smoke. No boundary
+//! conditions are needed.
+//!
+//! Where light is the same all around, white smoke (albedo 1) has that radiance too. It would not if L_m were just
+//! (1 − τ̄) G: L_d is brightest from where the smoke is thin, G from where the Gaussians are, and the two do not add up to
+//! the same light all around. What is missing for a J of 1 everywhere is known, and is added in proportion to the mean of
+//! G (see [`scattered_before`]). So energy is exact, for any phase function.
 //!
 //! Everything is a function of the look direction v, which is also the direction ω that light comes from.
 //!
@@ -22,8 +26,10 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
-    DIRECTIONS, Grid, Medium, rbf_center,
-    source_radiance::{Incident, Lighting, incident, probes},
+    Grid, Medium, PROBES,
+    incident_light::{Incident, Lighting, incident_light},
+    lamp::{Lamp, with_lamps},
+    rbf_center,
 };
 use crate::{
     optics::{dawson, erfcx, gaussian_bands, transmittance},
@@ -63,21 +69,61 @@ impl DeltaM {
     }
 }
 
-/// Source radiance of all scattering for the four probes of every RBF, J_k = Ω g^l (L_d,k + (1 − τ̄) G_k): the
-/// counterpart of [`source_radiance`](super::source_radiance::source_radiance), for the same next pass.
-pub fn multiple_scattering(rbfs: &[Rbf], coarse: &Grid, lighting: &Lighting, medium: &Medium) -> Vec<[ShRgb; 4]> {
+/// Source radiance of light that scatters once at the probes of every RBF, by the look direction: J_k = Ω g^l L_d,k.
+pub fn single_scattering(rbfs: &[Rbf], coarse: &Grid, lighting: &Lighting, medium: &Medium) -> Vec<[ShRgb; PROBES]> {
+    let factors = henyey_greenstein_factors(medium.g);
+    let incident = incident_light(rbfs, coarse, lighting, DVec3::splat(medium.sigma));
+    incident.iter().map(|probes| probes.map(|probe| scatter(&probe.light, medium.albedo, &factors))).collect()
+}
+
+/// Source radiance of light that scatters any number of times, for the same next pass. Light of `lamps` is in it once it
+/// has scattered before: what they add the first time is [`shine`](super::lamp::shine)'s.
+pub fn multiple_scattering(
+    rbfs: &[Rbf],
+    coarse: &Grid,
+    lighting: &Lighting,
+    lamps: &[Lamp],
+    medium: &Medium,
+) -> Vec<[ShRgb; PROBES]> {
     let sigma = DeltaM::new(medium).sigma;
     let incident = incident_light(rbfs, coarse, lighting, sigma);
     let pairs = pair_matrix(rbfs, coarse, sigma.element_sum() / 3.0);
-    let gathered = scattered_light(rbfs, &pairs, &incident, medium);
-    let factors = henyey_greenstein_factors(medium.g);
-    let probe = |incident: Incident, gathered| scatter(&incident, gathered, medium.albedo, &factors);
-    incident.iter().zip(&gathered).map(|(probes, g)| probes.map(|incident| probe(incident, g))).collect()
+    let gathered = scattered_light(rbfs, &pairs, &with_lamps(&incident, rbfs, coarse, lamps, sigma), medium);
+    source_radiance(&incident, &gathered, &surroundings(rbfs, &pairs), medium)
 }
 
-/// L_d and τ̄ at the four probes of every RBF; `sigma` is extinction per channel.
-pub fn incident_light(rbfs: &[Rbf], coarse: &Grid, lighting: &Lighting, sigma: DVec3) -> Vec<[Incident; 4]> {
-    rbfs.par_iter().map(|rbf| probes(rbf).map(|p| incident(p, coarse, lighting, sigma, DIRECTIONS))).collect()
+/// J_k = Ω g^l (L_d,k + L_m,k) at the probes of every RBF, from G ([`scattered_light`]) and H ([`surroundings`]).
+pub fn source_radiance(
+    incident: &[[Incident; PROBES]],
+    gathered: &[ShRgb],
+    surroundings: &[Sh<f64>],
+    medium: &Medium,
+) -> Vec<[ShRgb; PROBES]> {
+    let factors = henyey_greenstein_factors(medium.g);
+    let rbf = |((probes, gathered), surroundings): ((&[Incident; PROBES], &ShRgb), &Sh<f64>)| {
+        let light = |probe: &Incident| probe.light + scattered_before(probe, gathered, surroundings);
+        probes.map(|probe| scatter(&light(&probe), medium.albedo, &factors))
+    };
+    incident.iter().zip(gathered).zip(surroundings).map(rbf).collect()
+}
+
+/// Ω g^l L: light, scattered.
+fn scatter(light: &ShRgb, albedo: DVec3, factors: &[f64; BANDS]) -> ShRgb {
+    Sh(light.convolve(factors).0.map(|c| albedo * c))
+}
+
+/// L_m: light that has scattered before and arrives at a point.
+///
+/// L_m,0 = (1 − τ̄) G_0, and L_m,k = (1 − τ̄) G_k + (−T_k − (1 − e) H_k) G_0/√(4π) with e = T_0/√(4π). The bracket is what
+/// would be missing of no light at all (k ≥ 1) between L_d + (1 − τ̄) G where J and the sky are 1 everywhere.
+fn scattered_before(incident: &Incident, gathered: &ShRgb, surroundings: &Sh<f64>) -> ShRgb {
+    let unit = (4.0 * PI).sqrt();
+    let (enclosed, grey) = (1.0 - incident.escape, 1.0 - incident.passing.0[0] / unit);
+    let mean = gathered.0[0] / unit;
+    Sh(core::array::from_fn(|k| {
+        let missing = if k == 0 { 0.0 } else { -incident.passing.0[k] - grey * surroundings.0[k] };
+        enclosed * gathered.0[k] + missing * mean
+    }))
 }
 
 /// K̂, row by row: entry `l * n + h` is the share of RBF `h` in what RBF `l` sees of the others and itself.
@@ -116,16 +162,34 @@ fn column_between(a: DVec3, b: DVec3, coarse: &Grid) -> f64 {
     (0..PAIR_STEPS).map(sample).sum::<f64>() * (a.distance(b) / PAIR_STEPS as f64)
 }
 
-/// G at every RBF: the light scattered elsewhere, L_m = (1 − τ̄) G, of the steady state
-/// J_k = Ω' g'_l (L̄_d,k + (1 − τ̄) G_k), G = K̂ J, with means over the four probes.
-pub fn scattered_light(rbfs: &[Rbf], pairs: &[f64], incident: &[[Incident; 4]], medium: &Medium) -> Vec<ShRgb> {
+/// H at every RBF: what G is where J is 1 everywhere, H_k = Σ_h K̂_lh 4π a_k y_k(d) but for band 0, which is that of 1.
+pub fn surroundings(rbfs: &[Rbf], pairs: &[f64]) -> Vec<Sh<f64>> {
+    let lobes = lobes(rbfs);
+    // Chunks of no length would be an error; there are no rows then.
+    let rows = pairs.chunks(rbfs.len().max(1)).zip(lobes.chunks(rbfs.len().max(1)));
+    rows.map(|(pairs, lobes)| {
+        let mut sum = Sh::constant(1.0);
+        for (share, lobe) in pairs.iter().zip(lobes) {
+            for (sum, along) in sum.0.iter_mut().zip(lobe.along).skip(1) {
+                *sum += share * 4.0 * PI * along;
+            }
+        }
+        sum
+    })
+    .collect()
+}
+
+/// G at every RBF: the light scattered elsewhere, in the steady state J_k = Ω' g'_l (L̄_d,k + L_m,k), G = K̂ J, with
+/// means over the probes ([`scattered_before`] has L_m).
+pub fn scattered_light(rbfs: &[Rbf], pairs: &[f64], incident: &[[Incident; PROBES]], medium: &Medium) -> Vec<ShRgb> {
     let DeltaM { albedo, factors, .. } = DeltaM::new(medium);
     let incident: Vec<Incident> = incident.iter().map(mean).collect();
     let lobes = (medium.g != 0.0).then(|| lobes(rbfs));
+    let surroundings = surroundings(rbfs, pairs);
     let mut gathered = vec![ShRgb::default(); rbfs.len()];
     for _ in 0..MAX_SWEEPS {
-        let source: Vec<ShRgb> =
-            incident.iter().zip(&gathered).map(|(incident, g)| scatter(incident, g, albedo, &factors)).collect();
+        let light = |l: usize| incident[l].light + scattered_before(&incident[l], &gathered[l], &surroundings[l]);
+        let source: Vec<ShRgb> = (0..rbfs.len()).map(|l| scatter(&light(l), albedo, &factors)).collect();
         let next = match &lobes {
             Some(lobes) => gather(pairs, lobes, &source),
             None => gather_isotropic(pairs, &source),
@@ -141,19 +205,14 @@ pub fn scattered_light(rbfs: &[Rbf], pairs: &[f64], incident: &[[Incident; 4]], 
     gathered
 }
 
-/// Light once scattered at a point: Ω g^l (L_d,k + (1 − τ̄) G_k).
-fn scatter(incident: &Incident, gathered: &ShRgb, albedo: DVec3, factors: &[f64; BANDS]) -> ShRgb {
-    let enclosed = 1.0 - incident.escape;
-    let light = Sh(core::array::from_fn(|k| albedo * (incident.light.0[k] + enclosed * gathered.0[k])));
-    light.convolve(factors)
-}
-
-/// The mean of an RBF's four probes.
-fn mean(probes: &[Incident; 4]) -> Incident {
+/// The mean of an RBF's probes.
+fn mean(probes: &[Incident; PROBES]) -> Incident {
+    let share = 1.0 / PROBES as f64;
     let mut mean = Incident::default();
     for probe in probes {
-        mean.light = mean.light + probe.light * 0.25;
-        mean.escape += 0.25 * probe.escape;
+        mean.light = mean.light + probe.light * share;
+        mean.escape += probe.escape * share;
+        mean.passing = mean.passing + probe.passing * share;
     }
     mean
 }

@@ -3,7 +3,7 @@
 use glam::{DVec3, IVec3, UVec3};
 use rayon::prelude::*;
 
-use super::{Grid, center, outgoing::Outgoing, rbf_center, trilinear};
+use super::{Grid, cell_size, center, outgoing::Outgoing, rbf_center, trilinear};
 use crate::{
     density::GridShape,
     rbf::{Rbf, RbfBins},
@@ -37,28 +37,37 @@ impl Volume {
     }
 }
 
-/// Interpolates the RBFs' source radiance to every cell of the padded grid, with the RBFs listed in the cell's bin
-/// (padding cells: in the bin of the nearest cell of the box).
+/// Source radiance from the RBFs' fits, and density, at every cell of the padded grid.
 pub fn volume(rbfs: &[Rbf], outgoing: &[Outgoing], bins: &RbfBins, density: &Grid) -> Volume {
     let shape = density.shape;
     let padded = GridShape::new(shape.dims + 2);
-    let (radiance, density) = (0..padded.len())
-        .into_par_iter()
-        .map(|index| {
-            let cell = padded.cell(index);
-            let nearest = cell.clamp(UVec3::ONE, shape.dims) - 1;
-            let x = center(shape, nearest) + (cell.as_dvec3() - 1.0 - nearest.as_dvec3()) / f64::from(shape.longest());
-            let list = bins.at(nearest).iter().map(|&l| (&rbfs[l as usize], &outgoing[l as usize]));
-            let padding = cell != nearest + 1;
-            (interpolate(x, list), if padding { 0.0 } else { density.values[shape.index(nearest)] })
-        })
-        .unzip();
-    Volume { shape, radiance, density }
+    let mut values = vec![0.0; padded.len()];
+    for (index, &value) in density.values.iter().enumerate() {
+        values[padded.index(shape.cell(index) + 1)] = value;
+    }
+    Volume { shape, radiance: blend(rbfs, outgoing, bins, shape), density: values }
 }
 
-/// J(x) = max(0, Σ φ (J̄ + G δ) / Σ φ), with φ = w (exp(−u²) + 1e-6/(1+u²)²), u = |x−c|/r, and δ = x−c, but no longer
-/// than 2r. The tail of φ carries radiance beyond the Gaussians; the shorter δ keeps it bounded there. Black without
-/// any RBF.
+/// The RBFs' fits interpolated to every cell of the padded grid, with the RBFs listed in the cell's bin (padding cells:
+/// in the bin of the nearest cell of the box).
+pub(super) fn blend(rbfs: &[Rbf], fits: &[Outgoing], bins: &RbfBins, shape: GridShape) -> Vec<DVec3> {
+    let padded = GridShape::new(shape.dims + 2);
+    let value = |index| {
+        let cell = padded.cell(index);
+        let nearest = cell.clamp(UVec3::ONE, shape.dims) - 1;
+        let list = bins.at(nearest).iter().map(|&l| (&rbfs[l as usize], &fits[l as usize]));
+        interpolate(padded_center(shape, cell), list)
+    };
+    (0..padded.len()).into_par_iter().map(value).collect()
+}
+
+/// The centre of a cell of the padded grid in bundle space.
+pub(super) fn padded_center(shape: GridShape, cell: UVec3) -> DVec3 {
+    center(shape, cell) - cell_size(shape)
+}
+
+/// J(x) = max(0, Σ φ J_l(x) / Σ φ), with φ = w (exp(−u²) + 1e-6/(1+u²)²), u = |x−c|/r, of the RBFs' fits. The tail of φ
+/// carries radiance beyond the Gaussians. Black without any RBF.
 fn interpolate<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>) -> DVec3 {
     let (mut sum, mut total) = (DVec3::ZERO, 0.0);
     for (rbf, outgoing) in rbfs {
@@ -66,8 +75,7 @@ fn interpolate<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>
         let offset = x - rbf_center(rbf);
         let u_squared = offset.length_squared() / (radius * radius);
         let phi = weight * ((-u_squared).exp() + 1e-6 / (1.0 + u_squared).powi(2));
-        let delta = offset.clamp_length_max(2.0 * radius);
-        sum += phi * (outgoing.mean + outgoing.gradient * delta);
+        sum += phi * outgoing.value(offset, radius);
         total += phi;
     }
     if total > 0.0 { (sum / total).max(DVec3::ZERO) } else { DVec3::ZERO }
@@ -85,6 +93,15 @@ mod tests {
         vec![at(0.0, 0.1, 0.0, 0.06, 1.0), at(-0.1, -0.2, 0.05, 0.04, 0.3), at(0.2, 0.0, -0.1, 0.05, 2.0)]
     }
 
+    fn linear(center: DVec3, gradient: DMat3) -> Outgoing {
+        let bounds = [f64::NEG_INFINITY, f64::INFINITY].map(DVec3::splat);
+        Outgoing { center, gradient, curvature: DMat3::ZERO, low: bounds[0], high: bounds[1] }
+    }
+
+    fn constant(center: DVec3) -> Outgoing {
+        linear(center, DMat3::ZERO)
+    }
+
     fn build(outgoing: impl Fn(&Rbf) -> Outgoing) -> Volume {
         let (rbfs, shape) = (rbfs(), GridShape::new(DIMS));
         let outgoing: Vec<_> = rbfs.iter().map(outgoing).collect();
@@ -96,7 +113,7 @@ mod tests {
     fn a_constant_reproduces_itself_everywhere() {
         // Also far outside every Gaussian, where exp(−u²) underflows the f32 of the pass but the tail does not.
         let rgb = DVec3::new(1.0, 0.5, 0.25);
-        let volume = build(|_| Outgoing { mean: rgb, gradient: DMat3::ZERO });
+        let volume = build(|_| constant(rgb));
         assert_eq!(volume.radiance.len(), 22 * 34 * 13);
         for j in &volume.radiance {
             assert!((*j - rgb).length() < 1e-14);
@@ -111,25 +128,25 @@ mod tests {
         let gradient =
             DMat3::from_cols(DVec3::new(1.0, 0.2, 0.0), DVec3::new(-0.5, 0.0, 0.3), DVec3::new(0.7, 0.1, -0.2));
         let field = |x: DVec3| DVec3::ONE + gradient * x;
-        let volume = build(|rbf| Outgoing { mean: field(rbf_center(rbf)), gradient });
-        // Wherever no listed Gaussian is further than 2r, or those that are weigh nothing: at the three centres. A far
+        let volume = build(|rbf| linear(field(rbf_center(rbf)), gradient));
+        // Wherever no listed Gaussian is further than 1.5r, or those that are weigh nothing: at the three centres. A far
         // one's share is at most its tail, 1e-6 · w ratio 7, times a field difference below 1.
         let rbfs = rbfs();
         for rbf in &rbfs {
             let x = rbf_center(rbf) + DVec3::new(0.02, -0.01, 0.01);
             assert!((volume.sample(x).0 - field(x)).length() < 1e-5);
         }
-        // One RBF alone, 6 radii away: the offset is shortened to 2.
+        // One RBF alone, 6 radii away: the offset is shortened to 1.5.
         let x = rbf_center(&rbfs[0]) + DVec3::X * 0.36;
-        let outgoing = Outgoing { mean: DVec3::ONE, gradient };
-        let expected = DVec3::ONE + gradient * DVec3::X * (2.0 * f64::from(rbfs[0].radius));
+        let outgoing = linear(DVec3::ONE, gradient);
+        let expected = DVec3::ONE + gradient * DVec3::X * (1.5 * f64::from(rbfs[0].radius));
         assert!((interpolate(x, [(&rbfs[0], &outgoing)].into_iter()) - expected).length() < 1e-12);
     }
 
     #[test]
     fn weights_follow_the_formula() {
         let rbfs = rbfs();
-        let [a, b] = [1.0, 3.0].map(|j| Outgoing { mean: DVec3::splat(j), gradient: DMat3::ZERO });
+        let [a, b] = [1.0, 3.0].map(|j| constant(DVec3::splat(j)));
         // x on rbf 0's centre; |c0−c1|² = 0.01 + 0.09 + 0.0025, u1² = 0.1025/0.0016 = 64.0625: only its tail is left.
         let x = DVec3::new(0.0, 0.1, 0.0);
         let (phi0, phi1) = (1.0 + 1e-6, 0.3 * 1e-6 / 65.0625f64.powi(2));
@@ -142,7 +159,7 @@ mod tests {
     #[test]
     fn radiance_is_never_negative_and_black_without_rbfs() {
         let gradient = DMat3::from_diagonal(DVec3::splat(100.0));
-        let volume = build(|_| Outgoing { mean: DVec3::ONE, gradient });
+        let volume = build(|_| linear(DVec3::ONE, gradient));
         assert!(volume.radiance.iter().all(|j| j.min_element() >= 0.0));
         assert!(volume.radiance.iter().any(|j| j.min_element() == 0.0));
         let shape = GridShape::new(UVec3::splat(3));
@@ -153,7 +170,7 @@ mod tests {
 
     #[test]
     fn density_is_copied_and_padded_with_zeros() {
-        let volume = build(|_| Outgoing { mean: DVec3::ONE, gradient: DMat3::ZERO });
+        let volume = build(|_| constant(DVec3::ONE));
         let (shape, padded) = (volume.shape, GridShape::new(DIMS + 2));
         for index in 0..shape.len() {
             let cell = shape.cell(index);

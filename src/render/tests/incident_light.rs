@@ -3,8 +3,8 @@ use bevy::math::{DMat3, DQuat, Mat3, Quat};
 
 use super::*;
 use crate::medium::SmokeMedium;
-use crate::reference::source_radiance::Lighting;
-use crate::reference::transport;
+use crate::reference::PROBES;
+use crate::reference::incident_light::Lighting;
 use crate::render::frame::uniform;
 use crate::render::incident_light::{self, Bindings};
 use crate::render::lighting::{LightingUniform, MAX_LAMPS};
@@ -28,7 +28,7 @@ fn incident_light_matches_its_twin() {
     let sigma = lighting.sigma.as_dvec3();
     let lighting = uniform(gpu.device(), gpu.queue(), "test", lighting);
     let coefficients = gpu.buffer(&pad(environment.0));
-    let count = rbfs(&frame).len() * 4;
+    let count = rbfs(&frame).len() * PROBES;
     let probes = gpu.buffer(&vec![[0.0_f32; 4]; count * COEFFICIENTS]);
     let columns = gpu.buffer(&vec![0.0_f32; count * MAX_LAMPS]);
     let pass = &gpu.passes().incident_light;
@@ -46,7 +46,7 @@ fn incident_light_matches_its_twin() {
 
     let [x, y, z, w] = rotation.to_array().map(f64::from);
     let lighting = Lighting { environment, env_from_local: DMat3::from_quat(DQuat::from_xyzw(x, y, z, w)) };
-    let expected = transport::incident_light(rbfs(&frame), &coarse, &lighting, sigma);
+    let expected = crate::reference::incident_light::incident_light(rbfs(&frame), &coarse, &lighting, sigma);
     let found = gpu.read_floats(&probes);
     let light = expected.iter().flatten().flat_map(|probe| probe.light.0).flat_map(rgb);
     assert_close("incident light", HALF, unpad(&found), light);

@@ -11,7 +11,7 @@ fn check(what: &str, eye: Vec4, viewer: Viewer) {
     let (gpu, frame) = (Gpu::new(), fixture());
     let uploaded = gpu.frame(&frame);
     let mut random = Random(13);
-    let source: Vec<[ShRgb; 4]> = rbfs(&frame)
+    let source: Vec<[ShRgb; reference::PROBES]> = rbfs(&frame)
         .iter()
         .map(|_| std::array::from_fn(|_| Sh(std::array::from_fn(|_| random.vector().as_vec3().as_dvec3()))))
         .collect();
@@ -19,7 +19,7 @@ fn check(what: &str, eye: Vec4, viewer: Viewer) {
     let lighting = LightingUniform { scatter: [Vec4::ONE; 4], ..Default::default() };
     let lighting = uniform(gpu.device(), gpu.queue(), "test", lighting);
     let padded = pad(source.iter().flatten().flat_map(|probe| probe.0));
-    assert_eq!(padded.len(), rbfs(&frame).len() * 4 * COEFFICIENTS);
+    assert_eq!(padded.len(), rbfs(&frame).len() * reference::PROBES * COEFFICIENTS);
     let probes = gpu.buffer(&padded);
     let output = gpu.buffer(&vec![[0.0_f32; 16]; rbfs(&frame).len()]);
     let zeros = |floats: usize| gpu.buffer(&vec![0.0_f32; floats * rbfs(&frame).len()]);
@@ -42,7 +42,7 @@ fn check(what: &str, eye: Vec4, viewer: Viewer) {
     let expected = reference::outgoing::outgoing(rbfs(&frame), &source, viewer);
     // The gradient's columns are the derivatives along x, y and z.
     let expected =
-        expected.iter().flat_map(|o| [o.mean, o.gradient.x_axis, o.gradient.y_axis, o.gradient.z_axis]).flat_map(rgb);
+        expected.iter().flat_map(|o| [o.center, o.gradient.x_axis, o.gradient.y_axis, o.gradient.z_axis]).flat_map(rgb);
     assert_close(what, EXACT, unpad(&found), expected);
 }
 

@@ -4,7 +4,8 @@ use bevy::math::DVec3;
 use super::*;
 use crate::medium::SmokeMedium;
 use crate::reference;
-use crate::reference::source_radiance::Incident;
+use crate::reference::PROBES;
+use crate::reference::incident_light::Incident;
 use crate::reference::transport::{self, DeltaM};
 use crate::render::footprint::Footprints;
 use crate::render::frame::uniform;
@@ -17,12 +18,13 @@ fn solve(medium: SmokeMedium, escape: f64, tolerance: f32) -> ([Vec<f64>; 2], So
     let (gpu, frame) = (Gpu::new(), fixture());
     let (coarse, uploaded) = coarse_frame(&gpu, &frame);
     let mut random = Random(23);
-    let incident: Vec<[Incident; 4]> = rbfs(&frame)
+    let incident: Vec<[Incident; PROBES]> = rbfs(&frame)
         .iter()
         .map(|_| {
             std::array::from_fn(|_| Incident {
                 light: random_light(&mut random),
                 escape: (escape * random.vector()).as_vec3().as_dvec3(),
+                ..Incident::default()
             })
         })
         .collect();

@@ -21,17 +21,20 @@ fn volume_matches_its_twin() {
     let outgoing: Vec<Outgoing> = rbfs(&frame)
         .iter()
         .map(|_| Outgoing {
-            mean: random.vector(),
+            center: random.vector(),
             gradient: bevy::math::DMat3::from_cols(
                 10.0 * (random.vector() - 0.5),
                 10.0 * (random.vector() - 0.5),
                 10.0 * (random.vector() - 0.5),
             ),
+            curvature: bevy::math::DMat3::ZERO,
+            low: DVec3::NEG_INFINITY,
+            high: DVec3::INFINITY,
         })
         .collect();
     let packed: Vec<[f32; 4]> = outgoing
         .iter()
-        .flat_map(|o| [o.mean, o.gradient.x_axis, o.gradient.y_axis, o.gradient.z_axis])
+        .flat_map(|o| [o.center, o.gradient.x_axis, o.gradient.y_axis, o.gradient.z_axis])
         .map(|v| v.as_vec3().extend(0.0).to_array())
         .collect();
     let buffer = gpu.buffer(&packed);

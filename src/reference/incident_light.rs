@@ -1,15 +1,15 @@
-//! Source radiance: the environment's light that reaches each probe through the smoke, scattered once.
+//! Incident light: the environment's light that reaches each probe through the smoke.
 
 use core::f64::consts::PI;
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::{DIRECTIONS, Grid, MARCH_STEPS, Medium, RHO, Ray, TETRAHEDRON, cell_size, half_extent, rbf_center};
+use super::{DIRECTIONS, Grid, MARCH_STEPS, PROBE_OFFSETS, PROBES, RHO, Ray, cell_size, half_extent, rbf_center};
 use crate::{
     optics::transmittance,
     rbf::Rbf,
-    sh::{Sh, ShRgb, fibonacci, henyey_greenstein_factors},
+    sh::{Sh, ShRgb, fibonacci},
 };
 
 /// The environment as the volume sees it.
@@ -21,24 +21,6 @@ pub struct Lighting {
     pub env_from_local: DMat3,
 }
 
-/// J as a function of the look direction (eye → point), for the four probes of every RBF.
-pub fn source_radiance(rbfs: &[Rbf], coarse: &Grid, lighting: &Lighting, medium: &Medium) -> Vec<[ShRgb; 4]> {
-    let factors = henyey_greenstein_factors(medium.g);
-    rbfs.par_iter()
-        .map(|rbf| {
-            probes(rbf).map(|p| {
-                let direct = direct_light(p, coarse, lighting, medium.sigma, DIRECTIONS);
-                Sh(direct.convolve(&factors).0.map(|c| c * medium.albedo))
-            })
-        })
-        .collect()
-}
-
-/// Where the four probes of an RBF are: on a tetrahedron around its centre.
-pub fn probes(rbf: &Rbf) -> [DVec3; 4] {
-    TETRAHEDRON.map(|t| rbf_center(rbf) + t * (RHO * f64::from(rbf.radius)))
-}
-
 /// Light that reaches a point through the smoke, from outside it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Incident {
@@ -46,29 +28,38 @@ pub struct Incident {
     pub light: ShRgb,
     /// τ̄: the mean transmittance from the point to infinity over all directions, 0 to 1 per channel.
     pub escape: DVec3,
+    /// T: the transmittance itself by direction, 0 to 1, at the mean extinction of the channels.
+    pub passing: Sh<f64>,
 }
 
-/// L_d and τ̄ at `p`, from `directions` fixed directions; `sigma` is extinction per channel.
+/// L_d, τ̄ and T at the probes of every RBF; `sigma` is extinction per channel.
+pub fn incident_light(rbfs: &[Rbf], coarse: &Grid, lighting: &Lighting, sigma: DVec3) -> Vec<[Incident; PROBES]> {
+    rbfs.par_iter().map(|rbf| probes(rbf).map(|p| incident(p, coarse, lighting, sigma, DIRECTIONS))).collect()
+}
+
+/// Where the probes of an RBF are.
+pub fn probes(rbf: &Rbf) -> [DVec3; PROBES] {
+    PROBE_OFFSETS.map(|offset| rbf_center(rbf) + offset * (RHO * f64::from(rbf.radius)))
+}
+
+/// L_d, τ̄ and T at `p`, from `directions` fixed directions; `sigma` is extinction per channel.
 pub fn incident(p: DVec3, coarse: &Grid, lighting: &Lighting, sigma: DVec3, directions: usize) -> Incident {
+    let solid_angle = 4.0 * PI / directions as f64;
+    let mean_sigma = sigma.element_sum() / 3.0;
     let mut incident = Incident::default();
     for dir in fibonacci(directions) {
         let radiance = lighting.environment.evaluate(lighting.env_from_local * dir);
-        let depth = sigma * column(p, dir, coarse);
-        let share = depth.map(transmittance) / directions as f64;
-        incident.light.accumulate(dir, radiance * share * (4.0 * PI));
-        incident.escape += share;
+        let column = column(&Ray::new(p, dir), coarse);
+        let passing = (sigma * column).map(transmittance);
+        incident.light.accumulate(dir, radiance * passing * solid_angle);
+        incident.escape += passing / directions as f64;
+        incident.passing.accumulate(dir, transmittance(mean_sigma * column) * solid_angle);
     }
     incident
 }
 
-/// L_d at `p`: attenuated radiance by the direction it comes from, from `directions` fixed directions.
-pub fn direct_light(p: DVec3, coarse: &Grid, lighting: &Lighting, sigma: f64, directions: usize) -> ShRgb {
-    incident(p, coarse, lighting, DVec3::splat(sigma), directions).light
-}
-
-/// ∫ of the coarse density from `p` along `dir` to where it ends, half a cell outside its box.
-pub fn column(p: DVec3, dir: DVec3, coarse: &Grid) -> f64 {
-    let ray = Ray::new(p, dir);
+/// ∫ of the coarse density along `ray` to its end, or to where the density ends, half a cell outside its box.
+pub fn column(ray: &Ray, coarse: &Grid) -> f64 {
     let Some((start, end)) = ray.clip(half_extent(coarse.shape) + 0.5 * cell_size(coarse.shape)) else {
         return 0.0;
     };
@@ -82,9 +73,9 @@ mod tests {
     use super::*;
     use crate::{
         density::GridShape,
-        optics::{gaussian_column, henyey_greenstein},
+        optics::gaussian_column,
         reference::{coarse::coarse, density::density},
-        sh::{SphereRule, band},
+        sh::SphereRule,
     };
     use glam::UVec3;
 
@@ -101,6 +92,10 @@ mod tests {
         for (k, (a, b)) in a.0.iter().zip(&b.0).enumerate() {
             assert!((*a - *b).abs().max_element() < tolerance, "{k}: {a} for {b}");
         }
+    }
+
+    fn direct_light(p: DVec3, coarse: &Grid, lighting: &Lighting, sigma: f64, directions: usize) -> ShRgb {
+        incident(p, coarse, lighting, DVec3::splat(sigma), directions).light
     }
 
     fn uniform(dims: UVec3, value: f64) -> Grid {
@@ -128,14 +123,14 @@ mod tests {
         // Along x from the centre: 15.5 cells of full density, then a ramp to zero over one cell, in 20 steps of
         // 16.5/20 = 0.825 cells: 19 find the full density, the last one 0.4125 of it. (16.015 cells for 16.)
         let cells = 0.825 * (19.0 + 0.4125);
-        assert!((column(DVec3::ZERO, DVec3::X, &grid) - 1.3 * cells / 32.0).abs() < 1e-14);
+        assert!((column(&Ray::new(DVec3::ZERO, DVec3::X), &grid) - 1.3 * cells / 32.0).abs() < 1e-14);
         // From outside, 33 cells from end to end: 20 steps of 1.65, of which the outer two find 0.825. (32.4 cells for
         // 32.)
         let cells = 1.65 * (18.0 + 2.0 * 0.825);
-        assert!((column(DVec3::X * -3.0, DVec3::X, &grid) - 1.3 * cells / 32.0).abs() < 1e-14);
+        assert!((column(&Ray::new(DVec3::X * -3.0, DVec3::X), &grid) - 1.3 * cells / 32.0).abs() < 1e-14);
         // From beyond the box, or past it, nothing.
-        assert_eq!(column(DVec3::X * 3.0, DVec3::X, &grid), 0.0);
-        assert_eq!(column(DVec3::new(-3.0, 0.3, 0.0), DVec3::X, &grid), 0.0);
+        assert_eq!(column(&Ray::new(DVec3::X * 3.0, DVec3::X), &grid), 0.0);
+        assert_eq!(column(&Ray::new(DVec3::new(-3.0, 0.3, 0.0), DVec3::X), &grid), 0.0);
     }
 
     #[test]
@@ -164,29 +159,33 @@ mod tests {
                 // the largest column w r √π; the march adds little, with steps of at most 2.8 cells across 9.
                 let exact = gaussian_column(p, dir, center, rbf.radius.into(), rbf.weight.into());
                 let largest = 2.0 * 0.14 * PI.sqrt();
-                let found = column(p, dir, &grid);
+                let found = column(&Ray::new(p, dir), &grid);
                 assert!((found - exact).abs() < 0.03 * largest, "{found} for {exact}");
             }
         }
     }
 
     #[test]
-    fn albedo_and_phase_scale_the_bands() {
-        let rbf = Rbf { center: [0.1, 0.0, 0.0], radius: 0.2, weight: 1.0 };
-        let grid = uniform(UVec3::splat(8), 0.5);
-        let medium = Medium { sigma: 2.0, albedo: DVec3::new(0.9, 0.6, 0.3), g: 0.4 };
-        let found = source_radiance(&[rbf], &grid, &lighting(), &medium);
-        assert_eq!(found.len(), 1);
-        for (j, p) in found[0].iter().zip(probes(&rbf)) {
-            let direct = direct_light(p, &grid, &lighting(), medium.sigma, DIRECTIONS);
-            for k in 0..16 {
-                let expected = medium.albedo * direct.0[k] * 0.4f64.powi(band(k) as i32);
-                assert!((j.0[k] - expected).length() < 1e-14);
-            }
-            // Which is the integral of light times phase: light from ω travels along −ω and leaves along −v.
-            let v = DVec3::new(0.48, -0.6, 0.64);
-            let gathered = SphereRule::new(48).integrate(|w| direct.evaluate(w) * henyey_greenstein(w.dot(v), 0.4));
-            assert!((j.evaluate(v) - medium.albedo * gathered).length() < 1e-10);
+    fn constant_light_is_what_passes() {
+        // Under light of radiance 1, L_d is T, and its mean τ̄: the same sums.
+        let grid = uniform(UVec3::splat(8), 1.0);
+        let constant = Lighting { environment: ShRgb::constant(DVec3::ONE), ..lighting() };
+        let p = DVec3::new(0.3, -0.2, 0.1);
+        let found = incident(p, &grid, &constant, DVec3::splat(4.0), DIRECTIONS);
+        for (light, passing) in found.light.0.iter().zip(found.passing.0) {
+            assert!((*light - passing).abs().max_element() < 1e-14);
         }
+        assert!((found.escape - found.passing.0[0] / (4.0 * PI).sqrt()).abs().max_element() < 1e-14);
+        // With extinctions that differ, T has their mean.
+        let coloured = incident(p, &grid, &constant, DVec3::new(2.0, 4.0, 6.0), DIRECTIONS);
+        assert_eq!(coloured.passing, found.passing);
+        assert!(coloured.escape.x > coloured.escape.y && coloured.escape.y > coloured.escape.z);
+    }
+
+    #[test]
+    fn columns_end_where_the_ray_does() {
+        let grid = uniform(UVec3::splat(8), 1.5);
+        let ray = Ray { t_max: 0.25, ..Ray::new(DVec3::new(-0.2, 0.1, 0.0), DVec3::X) };
+        assert!((column(&ray, &grid) - 1.5 * 0.25).abs() < 1e-14);
     }
 }
