@@ -51,7 +51,6 @@ pub mod headless;
 pub mod lighting;
 pub mod medium;
 pub mod optics;
-#[cfg(any(feature = "bake", feature = "reference"))]
 mod random;
 pub mod rbf;
 #[cfg(feature = "reference")]

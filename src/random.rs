@@ -14,6 +14,11 @@ impl SplitMix64 {
         z ^ (z >> 31)
     }
 
+    /// A number in [0, 1): 53 bits.
+    pub fn unit(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
     /// A number in 0..`end`, which is above 0.
     #[cfg(feature = "bake")]
     pub fn below(&mut self, end: usize) -> usize {

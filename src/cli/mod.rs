@@ -10,6 +10,7 @@ pub mod output;
 pub mod path;
 pub mod render;
 pub mod scene;
+pub mod study;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -31,6 +32,9 @@ enum Cli {
     /// Measure the error of an image against a reference
     #[command(after_help = compare::EXAMPLES)]
     Compare(compare::CompareArgs),
+    /// Run a numerical study behind the method again
+    #[command(after_help = study::EXAMPLES)]
+    Study(study::StudyArgs),
 }
 
 const OVERVIEW: &str = "\
@@ -65,6 +69,7 @@ fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Cli::Info(args) => info::run(&args),
         Cli::Render(args) => render::run(args),
         Cli::Compare(args) => compare::run(&args),
+        Cli::Study(args) => study::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -135,6 +140,8 @@ mod tests {
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--fps", "nan"], "--fps"),
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--error", "2"], "--error"),
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--error", "0.1", "--rbfs", "9"], "cannot be used with"),
+            (&["smoke", "study", "cube"], "cube"),
+            (&["smoke", "study", "sphere", "--paths", "0"], "--paths"),
         ] {
             let line = usage(arguments);
             assert!(line.contains(expected) && !line.contains('\n'), "{line}");

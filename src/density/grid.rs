@@ -62,16 +62,21 @@ impl GridShape {
         UVec3::new((index % nx) as u32, (index / nx % ny) as u32, (index / (nx * ny)) as u32)
     }
 
-    /// The coarse grid on which optical depth is marched: cubes of `h = max(1, longest / 64)` fine cells a side
-    /// (`h` is real), `ceil(dims / h)` of them, centred on this box. It covers the box and may stick out by less
-    /// than one coarse cell in all.
+    /// The coarse grid on which optical depth is marched: [`COARSE_CELLS`] cells along the longest side.
     pub fn coarse(&self) -> GridShape {
+        self.coarsened(COARSE_CELLS)
+    }
+
+    /// A grid of at most `cells` cells a side: cubes of `h = max(1, longest / cells)` cells of this one a side (`h` is
+    /// real), `ceil(dims / h)` of them, centred on this box. It covers the box and may stick out by less than one of its
+    /// own cells in all.
+    pub fn coarsened(&self, cells: u32) -> GridShape {
         let longest = self.longest();
-        if longest <= COARSE_CELLS {
+        if longest <= cells {
             return *self;
         }
-        // ceil(d / (longest / 64)) in whole numbers, so that rounding cannot add a cell.
-        let cells = |d: u32| (u64::from(d) * u64::from(COARSE_CELLS)).div_ceil(u64::from(longest)) as u32;
+        // ceil(d / (longest / cells)) in whole numbers, so that rounding cannot add a cell.
+        let cells = |d: u32| (u64::from(d) * u64::from(cells)).div_ceil(u64::from(longest)) as u32;
         GridShape::new(UVec3::new(cells(self.dims.x), cells(self.dims.y), cells(self.dims.z)))
     }
 }

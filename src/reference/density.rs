@@ -24,7 +24,7 @@ pub fn density(rbfs: &[Rbf], residual: impl Fn(UVec3) -> f64 + Sync, shape: Grid
 }
 
 /// w exp(−|x−c|²/r²), zero at three radii and beyond.
-fn gaussian(rbf: &Rbf, x: DVec3) -> f64 {
+pub(super) fn gaussian(rbf: &Rbf, x: DVec3) -> f64 {
     let radius = f64::from(rbf.radius);
     let u_squared = (x - rbf_center(rbf)).length_squared() / (radius * radius);
     if u_squared < f64::from(SUPPORT * SUPPORT) { f64::from(rbf.weight) * (-u_squared).exp() } else { 0.0 }

@@ -5,17 +5,23 @@
 //! is extinction per bundle unit, σ_t times the world length of the box's longest side.
 //!
 //! Beside the passes: [`single`], single scattering without any of the method's approximations, [`path`], a path tracer
-//! for any number of scattering events and any light, and [`compare`], the error of an image.
+//! for any number of scattering events and any light, [`paper`], the method of Zhou et al. 2008 as printed, [`diffusion`],
+//! its diffusion equation put right and solved on a grid, [`sphere`], which tells the two apart, and [`compare`], the error
+//! of an image.
 
 pub mod coarse;
 pub mod compare;
 pub mod density;
+pub mod diffusion;
 pub mod environment;
 pub mod incident_light;
 pub mod lamp;
 pub mod outgoing;
+pub mod paper;
 pub mod path;
 pub mod single;
+pub mod sphere;
+pub mod taylor;
 pub mod transport;
 pub mod view;
 pub mod volume;

@@ -66,9 +66,14 @@ pub(super) fn padded_center(shape: GridShape, cell: UVec3) -> DVec3 {
     center(shape, cell) - cell_size(shape)
 }
 
-/// J(x) = max(0, Σ φ J_l(x) / Σ φ), with φ = w (exp(−u²) + 1e-6/(1+u²)²), u = |x−c|/r, of the RBFs' fits. The tail of φ
-/// carries radiance beyond the Gaussians. Black without any RBF.
+/// The radiance that [`volume`] gives a point: [`blend`], but never below zero.
 fn interpolate<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>) -> DVec3 {
+    blend(x, rbfs).max(DVec3::ZERO)
+}
+
+/// J(x) = Σ φ J_l(x) / Σ φ, with φ = w (exp(−u²) + 1e-6/(1+u²)²), u = |x−c|/r, of the RBFs' fits. The tail of φ carries
+/// radiance beyond the Gaussians. Black without any RBF.
+pub(super) fn blend<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>) -> DVec3 {
     let (mut sum, mut total) = (DVec3::ZERO, 0.0);
     for (rbf, outgoing) in rbfs {
         let (radius, weight) = (f64::from(rbf.radius), f64::from(rbf.weight));
@@ -78,7 +83,7 @@ fn interpolate<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>
         sum += phi * outgoing.value(offset, radius);
         total += phi;
     }
-    if total > 0.0 { (sum / total).max(DVec3::ZERO) } else { DVec3::ZERO }
+    if total > 0.0 { sum / total } else { DVec3::ZERO }
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 //! Products, rotations and projections all go through one idea: a Gauss quadrature of the sphere that is exact for the
 //! polynomials involved ([`SphereRule`]).
 
+mod exponential;
 mod product;
 mod quadrature;
 #[cfg(test)]
@@ -16,9 +17,10 @@ use core::ops::{Add, Mul};
 
 use glam::{DMat3, DVec3};
 
+pub use exponential::{Exponential, HALVINGS, NORM_STEP, NORMS, OptimalLinear, by_quadrature, scaling_and_squaring};
 pub use product::{Gaunt, gaunt};
 pub use quadrature::{SphereRule, fibonacci};
-pub use zonal::{CLAMPED_COSINE, henyey_greenstein_factors, zonal_factors};
+pub use zonal::{CLAMPED_COSINE, henyey_greenstein_factors, zonal_factors, zonal_factors_between};
 
 /// Bands kept: l = 0 to 3.
 pub const BANDS: usize = 4;

@@ -19,8 +19,16 @@ pub fn henyey_greenstein_factors(g: f64) -> [f64; BANDS] {
 
 /// Factors of any kernel, by 64-point Gauss–Legendre quadrature in t: exact for polynomials of degree ≤ 124.
 pub fn zonal_factors(kernel: impl Fn(f64) -> f64) -> [f64; BANDS] {
+    zonal_factors_between(-1.0, 1.0, kernel)
+}
+
+/// Factors of a kernel that vanishes but for t from `low` to `high`, by as many points there: for kernels with a narrow
+/// peak or a kink, in pieces to be added up.
+pub fn zonal_factors_between(low: f64, high: f64, kernel: impl Fn(f64) -> f64) -> [f64; BANDS] {
     let mut factors = [0.0; BANDS];
+    let half = 0.5 * (high - low);
     for (t, weight) in gauss_legendre(64) {
+        let (t, weight) = (low + half * (1.0 + t), half * weight);
         let legendre = [1.0, t, 0.5 * (3.0 * t * t - 1.0), 0.5 * t * (5.0 * t * t - 3.0)];
         for (factor, p) in factors.iter_mut().zip(legendre) {
             *factor += 2.0 * PI * weight * kernel(t) * p;

@@ -167,7 +167,7 @@ pub fn trace(scene: &Scene, ray: &Ray, events: Events, rng: &mut Rng) -> DVec3 {
 }
 
 /// A random direction after scattering, distributed like the Henyey–Greenstein phase function about `dir`.
-fn scatter(dir: DVec3, g: f64, rng: &mut Rng) -> DVec3 {
+pub(super) fn scatter(dir: DVec3, g: f64, rng: &mut Rng) -> DVec3 {
     let u = rng.uniform();
     // Its distribution function, inverted; near g = 0 the quotient loses all digits, and its limit is as good.
     let cos = if g.abs() < 1e-4 {
@@ -249,11 +249,11 @@ impl Rng {
 
     /// Uniform in [0, 1).
     pub fn uniform(&mut self) -> f64 {
-        (self.0.bits() >> 11) as f64 / (1u64 << 53) as f64
+        self.0.unit()
     }
 
     /// Exponential with mean 1.
-    fn exponential(&mut self) -> f64 {
+    pub(super) fn exponential(&mut self) -> f64 {
         -(-self.uniform()).ln_1p()
     }
 }
