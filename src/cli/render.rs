@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
 use bevy::asset::RenderAssetUsages;
-use bevy::camera::{Exposure, Hdr};
+use bevy::camera::{Exposure, Hdr, ShadowLodOrigin};
 use bevy::core_pipeline::tonemapping::{DebandDither, Tonemapping};
 use bevy::diagnostic::{DEFAULT_MAX_HISTORY_LENGTH, Diagnostic, DiagnosticPath, DiagnosticsStore};
 use bevy::math::DVec3;
@@ -424,6 +424,7 @@ fn spawn_scene(
         DebandDither::Disabled,
         // Exposure is 1 / (1.2 · 2^ev100): this makes it 1.
         Exposure { ev100: -(1.2_f32.log2()) },
+        ShadowLodOrigin,
         Projection::Perspective(projection),
         Transform::from_translation(camera.eye.as_vec3()).looking_at(camera.target.as_vec3(), Vec3::Y),
     ));

@@ -15,6 +15,7 @@ pub mod density;
 pub mod diffusion;
 pub mod environment;
 pub mod incident_light;
+pub mod lamp;
 pub mod outgoing;
 pub mod paper;
 pub mod path;

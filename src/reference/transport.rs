@@ -28,6 +28,7 @@ use rayon::prelude::*;
 use super::{
     Grid, Medium, PROBES,
     incident_light::{Incident, Lighting, incident_light},
+    lamp::{Lamp, with_lamps},
     rbf_center,
 };
 use crate::{
@@ -75,12 +76,19 @@ pub fn single_scattering(rbfs: &[Rbf], coarse: &Grid, lighting: &Lighting, mediu
     incident.iter().map(|probes| probes.map(|probe| scatter(&probe.light, medium.albedo, &factors))).collect()
 }
 
-/// Source radiance of light that scatters any number of times, for the same next pass.
-pub fn multiple_scattering(rbfs: &[Rbf], coarse: &Grid, lighting: &Lighting, medium: &Medium) -> Vec<[ShRgb; PROBES]> {
+/// Source radiance of light that scatters any number of times, for the same next pass. Light of `lamps` is in it once it
+/// has scattered before: what they add the first time is [`shine`](super::lamp::shine)'s.
+pub fn multiple_scattering(
+    rbfs: &[Rbf],
+    coarse: &Grid,
+    lighting: &Lighting,
+    lamps: &[Lamp],
+    medium: &Medium,
+) -> Vec<[ShRgb; PROBES]> {
     let sigma = DeltaM::new(medium).sigma;
     let incident = incident_light(rbfs, coarse, lighting, sigma);
     let pairs = pair_matrix(rbfs, coarse, sigma.element_sum() / 3.0);
-    let gathered = scattered_light(rbfs, &pairs, &incident, medium);
+    let gathered = scattered_light(rbfs, &pairs, &with_lamps(&incident, rbfs, coarse, lamps, sigma), medium);
     source_radiance(&incident, &gathered, &surroundings(rbfs, &pairs), medium)
 }
 

@@ -3,7 +3,7 @@
 use glam::{DVec3, IVec3, UVec3};
 use rayon::prelude::*;
 
-use super::{Grid, center, outgoing::Outgoing, rbf_center, trilinear};
+use super::{Grid, cell_size, center, outgoing::Outgoing, rbf_center, trilinear};
 use crate::{
     density::GridShape,
     rbf::{Rbf, RbfBins},
@@ -37,23 +37,33 @@ impl Volume {
     }
 }
 
-/// Interpolates the RBFs' source radiance to every cell of the padded grid, with the RBFs listed in the cell's bin
-/// (padding cells: in the bin of the nearest cell of the box).
+/// Source radiance from the RBFs' fits, and density, at every cell of the padded grid.
 pub fn volume(rbfs: &[Rbf], outgoing: &[Outgoing], bins: &RbfBins, density: &Grid) -> Volume {
     let shape = density.shape;
     let padded = GridShape::new(shape.dims + 2);
-    let (radiance, density) = (0..padded.len())
-        .into_par_iter()
-        .map(|index| {
-            let cell = padded.cell(index);
-            let nearest = cell.clamp(UVec3::ONE, shape.dims) - 1;
-            let x = center(shape, nearest) + (cell.as_dvec3() - 1.0 - nearest.as_dvec3()) / f64::from(shape.longest());
-            let list = bins.at(nearest).iter().map(|&l| (&rbfs[l as usize], &outgoing[l as usize]));
-            let padding = cell != nearest + 1;
-            (interpolate(x, list), if padding { 0.0 } else { density.values[shape.index(nearest)] })
-        })
-        .unzip();
-    Volume { shape, radiance, density }
+    let mut values = vec![0.0; padded.len()];
+    for (index, &value) in density.values.iter().enumerate() {
+        values[padded.index(shape.cell(index) + 1)] = value;
+    }
+    Volume { shape, radiance: blend_cells(rbfs, outgoing, bins, shape), density: values }
+}
+
+/// The RBFs' fits interpolated to every cell of the padded grid, with the RBFs listed in the cell's bin (padding cells:
+/// in the bin of the nearest cell of the box).
+pub(super) fn blend_cells(rbfs: &[Rbf], fits: &[Outgoing], bins: &RbfBins, shape: GridShape) -> Vec<DVec3> {
+    let padded = GridShape::new(shape.dims + 2);
+    let value = |index| {
+        let cell = padded.cell(index);
+        let nearest = cell.clamp(UVec3::ONE, shape.dims) - 1;
+        let list = bins.at(nearest).iter().map(|&l| (&rbfs[l as usize], &fits[l as usize]));
+        interpolate(padded_center(shape, cell), list)
+    };
+    (0..padded.len()).into_par_iter().map(value).collect()
+}
+
+/// The centre of a cell of the padded grid in bundle space.
+pub(super) fn padded_center(shape: GridShape, cell: UVec3) -> DVec3 {
+    center(shape, cell) - cell_size(shape)
 }
 
 /// The radiance that [`volume`] gives a point: [`blend`], but never below zero.

@@ -10,6 +10,7 @@ use bevy::render::Extract;
 use bevy::render::sync_world::MainEntity;
 
 use super::lamp::Lamp;
+use super::view::Emission;
 use crate::bundle::SmokeAnimation;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
@@ -37,6 +38,17 @@ pub(super) struct ExtractedVolume {
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
     pub layers: RenderLayers,
+}
+
+impl ExtractedVolume {
+    /// What the view pass is to make of its 3D texture.
+    pub fn emission(&self) -> Emission {
+        #[cfg(feature = "reference")]
+        if self.paper.is_some() {
+            return Emission::Printed;
+        }
+        Emission::Exact
+    }
 }
 
 /// The light from all around that a camera sees.

@@ -33,7 +33,7 @@ pub(super) struct LightingUniform {
     pub sigma_mean: f32,
     pub coefficients: u32,
     pub lamp_count: u32,
-    pub min_distance_squared: f32,
+    pub softening: f32,
     pub lamps: [LampUniform; MAX_LAMPS],
 }
 

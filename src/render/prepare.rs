@@ -25,11 +25,11 @@ use super::footprint::Footprints;
 use super::frame::{GpuSmokeAnimation, GpuSmokeFrame};
 use super::lamp::lamps_of;
 use super::light::{Environments, Light, LightKey, Lit};
-use super::lighting::LightingUniform;
+use super::lighting::{LightingUniform, MAX_LAMPS};
 use super::lit::{FrameLight, LitVolume};
 #[cfg(feature = "reference")]
 use super::paper;
-use super::view::{Emission, SmokeUniform, ViewPass, ViewSmoke, ViewSmokeVolume};
+use super::view::{Emission, Glow, SmokeUniform, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokePasses, SmokeRenderStats, SmokeWork, coarse, density};
 use crate::density::GridShape;
 use crate::scattering::{ScatteringChoice, ScatteringEvents};
@@ -46,6 +46,9 @@ pub(super) struct SmokeCache {
     volumes: HashMap<(MainEntity, LightKey), LitVolume>,
     shared: Option<Shared>,
 }
+
+/// Lamps are softened over so many cells, and their glow within is drawn by the view pass.
+const SOFTENING_CELLS: f32 = 1.5;
 
 /// What all volumes share.
 struct Shared {
@@ -156,16 +159,13 @@ pub(super) fn prepare_smoke(
             let before = volumes.get(&key).map(|volume| volume.choice.multiple);
             let choice = placed.choose_scattering(volume, frame, before, &device);
             stats.set_scattering(volume_entity, choice);
-            // Light that scatters into a forward peak goes on for the solver alone.
-            #[cfg(feature = "reference")]
-            let transport = choice.multiple && volume.paper.is_none();
-            #[cfg(not(feature = "reference"))]
-            let transport = choice.multiple;
+            let emission = volume.emission();
+            // Light that scatters into a forward peak goes on for the solver of transport alone.
+            let transport = choice.multiple && emission == Emission::Exact;
             let (uniform, unit) = placed.lighting(volume, &lit, &smoke, transport);
             #[cfg(feature = "reference")]
-            if volume.paper.is_some() && uniform.lamp_count > 0 {
-                warn_once!("smoke volume {volume_entity:?} has SmokePaper: lamps do not light it (said once)");
-            }
+            let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
+            let glows = Glow::all(&uniform, placed.shape.half_extent());
             let light = FrameLight {
                 coefficients: lit.coefficients,
                 environment_version: lit.version,
@@ -194,13 +194,9 @@ pub(super) fn prepare_smoke(
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
             let sliced = lit_volume.slice(key, look, frame, animation.shape, *now, &gpu, &mut work);
-            let uniform = placed.smoke_uniform(view, eye, volume, unit * camera.exposure);
+            let uniform = placed.smoke_uniform(view, eye, volume, unit * camera.exposure, glows);
             if let Some(uniform) = uniform {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
-                #[cfg(feature = "reference")]
-                let emission = if volume.paper.is_some() { Emission::Printed } else { Emission::Exact };
-                #[cfg(not(feature = "reference"))]
-                let emission = Emission::Exact;
                 drawn.push(ViewSmokeVolume { distance: placed.distance(view), emission, bind_group });
             }
         }
@@ -281,8 +277,7 @@ impl Placed {
             ambient: lit.ambient.map(|ambient| if ambient == 0.0 { 0.0 } else { relative(ambient) }),
             environment_scale: relative(lit.intensity),
             lamp_count: lamps.len() as u32,
-            // Bevy's own limit is a centimetre; in a cell the mean of 1/d² is about 8 over the cell's side squared.
-            min_distance_squared: (1e-4 / (self.scale * self.scale)).max(self.shape.cell_size().powi(2) / 8.0),
+            softening: (SOFTENING_CELLS * self.shape.cell_size()).powi(2),
             ..LightingUniform::of_medium(&volume.medium, self.sigma(volume), multiple)
         };
         for (slot, lamp) in uniform.lamps.iter_mut().zip(lamps) {
@@ -357,6 +352,7 @@ impl Placed {
         eye: Vec4,
         volume: &ExtractedVolume,
         radiance_scale: f32,
+        (glow_count, glows): (u32, [Glow; MAX_LAMPS]),
     ) -> Option<SmokeUniform> {
         let bundle_from_view = Mat4::from(self.bundle_from_view(view));
         let half_extent = self.shape.half_extent();
@@ -370,6 +366,9 @@ impl Placed {
             cell: self.shape.cell_size(),
             sigma: self.sigma(volume),
             radiance_scale,
+            g: volume.medium.g,
+            glow_count,
+            glows,
         })
     }
 }

@@ -91,14 +91,14 @@ impl ScatteringPass {
         let frame = || uniform_buffer::<FrameUniform>(false);
         let lighting = || uniform_buffer::<LightingUniform>(false);
         let step = || uniform_buffer::<StepUniform>(false);
+        let footprints = || uniform_buffer::<Footprints>(false);
         let start = BindGroupLayoutEntries::sequential(
             compute,
-            (frame(), lighting(), read(), read(), read(), read(), read(), write(), write(), write()),
+            (frame(), lighting(), footprints(), read(), read(), read(), read(), read(), write(), write(), write()),
         );
-        let footprints = uniform_buffer::<Footprints>(false);
         let sweep = BindGroupLayoutEntries::sequential(
             compute,
-            (frame(), lighting(), footprints, step(), read(), read(), read(), write(), write(), read()),
+            (frame(), lighting(), footprints(), step(), read(), read(), read(), write(), write(), read()),
         );
         let extrapolate = BindGroupLayoutEntries::sequential(
             compute,
@@ -128,6 +128,7 @@ impl ScatteringPass {
         let start = (
             frame.clone(),
             lighting.clone(),
+            b.footprints.as_entire_binding(),
             rbfs.clone(),
             b.probes.as_entire_binding(),
             b.escapes.as_entire_binding(),

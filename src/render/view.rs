@@ -26,6 +26,7 @@ use bevy::shader::{Shader, ShaderDefVal};
 
 use super::SmokeRenderStats;
 use super::extract::ExtractedSmoke;
+use super::lighting::{LampUniform, LightingUniform, MAX_LAMPS};
 
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_view";
@@ -40,6 +41,45 @@ pub(super) struct SmokeUniform {
     pub cell: f32,
     pub sigma: f32,
     pub radiance_scale: f32,
+    pub g: f32,
+    pub glow_count: u32,
+    pub glows: [Glow; MAX_LAMPS],
+}
+
+/// The `Glow` of `view.wgsl`.
+#[derive(ShaderType, Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Glow {
+    pub position: Vec3,
+    pub softening: f32,
+    pub color: Vec3,
+    pub spot_scale: f32,
+    pub axis: Vec3,
+    pub spot_offset: f32,
+}
+
+impl Glow {
+    /// The glows of the lamps in a box, or nearer to it than their light is softened, and how many they are.
+    pub fn all(lighting: &LightingUniform, half_extent: Vec3) -> (u32, [Self; MAX_LAMPS]) {
+        let mut glows = [Self::default(); MAX_LAMPS];
+        let albedo = lighting.scatter[0].truncate();
+        let reach = 3.0 * lighting.softening.sqrt();
+        let near = |lamp: &&LampUniform| {
+            lamp.is_sun == 0 && (lamp.position.abs() - half_extent).max(Vec3::ZERO).length() < reach
+        };
+        let mut count = 0;
+        for lamp in lighting.lamps[..lighting.lamp_count as usize].iter().filter(near) {
+            glows[count as usize] = Self {
+                position: lamp.position,
+                softening: lighting.softening,
+                color: albedo * lamp.color,
+                spot_scale: lamp.spot_scale,
+                axis: lamp.axis,
+                spot_offset: lamp.spot_offset,
+            };
+            count += 1;
+        }
+        (count, glows)
+    }
 }
 
 /// The volumes that a view draws, far to near; never none.

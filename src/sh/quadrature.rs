@@ -1,4 +1,4 @@
-//! Directions to integrate over: an exact product rule, and the Fibonacci directions of the source radiance pass.
+//! Directions to integrate over: an exact product rule, and the Fibonacci directions of the incident light pass.
 
 use core::f64::consts::PI;
 use std::sync::OnceLock;

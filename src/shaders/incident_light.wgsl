@@ -87,7 +87,7 @@ fn gather(
     escaping[thread] = kept;
     bases[thread] = basis(towards);
     if thread < lighting.lamp_count {
-        let light = arriving_from(lighting.lamps[thread], point, lighting.min_distance_squared);
+        let light = arriving_from(lighting.lamps[thread], point, lighting.softening);
         columns[probe * MAX_LAMPS + thread] = column(point, light.direction, light.distance);
     }
     workgroupBarrier();

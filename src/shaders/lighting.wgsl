@@ -38,8 +38,8 @@ struct Lighting {
     // Coefficients kept of radiance that scatters more than once: 1 (isotropic) or 16; 0 where light scatters once.
     coefficients: u32,
     lamp_count: u32,
-    // Lamps are no nearer than this.
-    min_distance_squared: f32,
+    // Added to the squared distance of lamps, for cells to hold their light; the view pass makes up for it.
+    softening: f32,
     lamps: array<Lamp, 8>,
 }
 
@@ -79,19 +79,19 @@ struct Arriving {
     irradiance: vec3<f32>,
 }
 
-fn arriving_from(lamp: Lamp, point: vec3<f32>, min_distance_squared: f32) -> Arriving {
+fn arriving_from(lamp: Lamp, point: vec3<f32>, softening: f32) -> Arriving {
     if lamp.is_sun != 0u {
         return Arriving(lamp.position, 1e30, lamp.color);
     }
     let offset = lamp.position - point;
-    let distance_squared = max(dot(offset, offset), min_distance_squared);
+    let distance_squared = dot(offset, offset);
     let distance = sqrt(distance_squared);
-    let direction = offset / distance;
+    let direction = offset / max(distance, 1e-9);
     // The fall-offs of Bevy's own lights, so that smoke and meshes agree.
     let in_range = distance_squared * lamp.inverse_range_squared;
     let range_share = saturate(1.0 - in_range * in_range);
     let spot_share = saturate(dot(lamp.axis, -direction) * lamp.spot_scale + lamp.spot_offset);
-    let share = range_share * range_share * spot_share * spot_share / distance_squared;
+    let share = range_share * range_share * spot_share * spot_share / (distance_squared + softening);
     return Arriving(direction, distance, lamp.color * share);
 }
 

@@ -5,9 +5,23 @@
 // With MSAA the rectangle is drawn once per sample: where all samples of a pixel see the same depth the first instance
 // shades them all and the others return at once; at the edges of meshes each sample is marched to its own depth.
 #import bevy_render::view::View
+#import bevy_smoke::lighting::phase
 #ifdef TONEMAP_IN_SHADER
 #import bevy_core_pipeline::tonemapping::tone_mapping
 #endif
+
+// A lamp in or near the smoke, whose glow falls with the square of a distance that cells cannot hold.
+struct Glow {
+    // Bundle space.
+    position: vec3<f32>,
+    // What `lighting.wgsl` adds to the squared distance.
+    softening: f32,
+    // Intensity times albedo.
+    color: vec3<f32>,
+    spot_scale: f32,
+    axis: vec3<f32>,
+    spot_offset: f32,
+}
 
 struct Smoke {
     // From normalised device coordinates to the volume's bundle space.
@@ -23,6 +37,10 @@ struct Smoke {
     sigma: f32,
     // From stored radiance to exposed radiance.
     radiance_scale: f32,
+    // Mean cosine of the phase function.
+    g: f32,
+    glow_count: u32,
+    glows: array<Glow, 8>,
 }
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -84,18 +102,60 @@ fn distance_to(ray: Ray, ndc: vec2<f32>, depth: f32) -> f32 {
     return dot(point.xyz / point.w - ray.origin, ray.direction);
 }
 
+// uvw of a point in the padded texture.
+fn texture_position(x: vec3<f32>) -> vec3<f32> {
+    return x / (2.0 * smoke.half_extent + 2.0 * smoke.cell) + 0.5;
+}
+
+// Distance along the ray at which a lamp is nearest, between its ends.
+fn nearest(glow: Glow, ray: Ray, leave: f32) -> f32 {
+    return clamp(dot(glow.position - ray.origin, ray.direction), ray.enter, leave);
+}
+
+const NEAR_LIGHT_STEPS: u32 = 12u;
+
+// What the texture's softened light leaves out of a lamp's glow along the ray, where smoke about the nearest point is even:
+//     integral of p (1 / d^2 - 1 / (d^2 + softening)) dt,   d^2 = b^2 + t^2,   t = b tan(angle),
+// with t from the ray's nearest point, which is b from the lamp, in even steps of the angle. `footprint` is the width of a
+// pixel at distance 1: over it, 1 / b is averaged.
+fn near_light(glow: Glow, ray: Ray, leave: f32, footprint: f32) -> vec3<f32> {
+    let offset = glow.position - ray.origin;
+    let middle = dot(offset, ray.direction);
+    let blur = 0.2 * footprint * max(middle, 0.0);
+    let b2 = max(dot(offset, offset) - middle * middle, 0.0) + max(blur * blur, 1e-12);
+    let b = sqrt(b2);
+    let ends = atan((vec2(ray.enter, leave) - middle) / b);
+    let step = (ends.y - ends.x) / f32(NEAR_LIGHT_STEPS);
+    var sum = 0.0;
+    for (var i = 0u; i < NEAR_LIGHT_STEPS; i++) {
+        let angle = ends.x + (f32(i) + 0.5) * step;
+        let t = b * tan(angle);
+        // The lamp is ahead while t < 0.
+        sum += phase(-sin(angle), smoke.g) * glow.softening / (b2 + t * t + glow.softening);
+    }
+    let point = ray.origin + ray.direction * clamp(middle, ray.enter, leave);
+    let toward = (point - glow.position) / max(distance(point, glow.position), 1e-9);
+    let spot = saturate(dot(glow.axis, toward) * glow.spot_scale + glow.spot_offset);
+    let sigma = smoke.sigma * textureSampleLevel(volume, volume_sampler, texture_position(point), 0.0).a;
+    return glow.color * (sum * step / b * sigma * exp(-sigma * b) * spot * spot);
+}
+
 // Radiance in RGB, transmittance in alpha.
-fn march(ray: Ray, leave: f32) -> vec4<f32> {
+fn march(ray: Ray, leave: f32, footprint: f32) -> vec4<f32> {
     let length = leave - ray.enter;
     let steps = u32(ceil(length / (0.5 * smoke.cell)));
     let step = length / f32(steps);
-    // uvw of the padded texture.
-    let padded = 2.0 * smoke.half_extent + 2.0 * smoke.cell;
     var radiance = vec3(0.0);
     var transmittance = 1.0;
     for (var i = 0u; i < steps; i++) {
         let x = ray.origin + ray.direction * (ray.enter + (f32(i) + 0.5) * step);
-        let s = textureSampleLevel(volume, volume_sampler, x / padded + 0.5, 0.0);
+        let s = textureSampleLevel(volume, volume_sampler, texture_position(x), 0.0);
+        for (var j = 0u; j < smoke.glow_count; j++) {
+            let at = (nearest(smoke.glows[j], ray, leave) - ray.enter) / step;
+            if min(u32(at), steps - 1u) == i {
+                radiance += near_light(smoke.glows[j], ray, leave, footprint) * transmittance;
+            }
+        }
         if s.a > 0.0 {
             let kept = exp(-smoke.sigma * s.a * step);
 #ifdef PRINTED_EMISSION
@@ -127,6 +187,7 @@ fn fragment(in: Vertex) -> Fragment {
     let uv = (at - view.viewport.xy) / view.viewport.zw;
     let ndc = vec2(2.0 * uv.x - 1.0, 1.0 - 2.0 * uv.y);
     let ray = ray_through(ndc);
+    let footprint = length(fwidth(ray.direction));
     if ray.leave <= ray.enter {
         discard;
     }
@@ -152,7 +213,7 @@ fn fragment(in: Vertex) -> Fragment {
     if leave <= ray.enter {
         discard;
     }
-    let marched = march(ray, leave);
+    let marched = march(ray, leave, footprint);
     let opacity = 1.0 - marched.a;
     // The target may be f16, which must not overflow.
     var color = min(marched.rgb * smoke.radiance_scale, vec3(65504.0));

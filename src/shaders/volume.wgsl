@@ -5,7 +5,7 @@
 // The tail, a millionth at the centre, decays slowly: where no RBF reaches,
 // wisps take the source radiance of the nearest ones.
 #import bevy_smoke::frame::{Frame, Rbf, MAX_HALF, bin_index, cell_center}
-#import bevy_smoke::lighting::{Lighting, Fit, arriving_from, phase}
+#import bevy_smoke::lighting::{Arriving, Lighting, Fit, arriving_from, phase, PI}
 
 const TAIL: f32 = 1e-6;
 // The fits are followed no farther than this many radii.
@@ -45,6 +45,19 @@ fn value(f: Fit, d: vec3<f32>) -> vec4<f32> {
     return f.center + (f.dx + f.qx * d.x) * d.x + (f.dy + f.qy * d.y) * d.y + (f.dz + f.qz * d.z) * d.z;
 }
 
+// RBFs hold what falls with the distance from a lamp down to one over this many radii, by measurement.
+const HELD: f32 = 0.6;
+
+// Light of a lamp that has scattered twice is brighter toward the lamp too, as 1 / d where smoke is even,
+//     J_2 = Omega^2 sigma D I pi / (16 d),
+// which RBFs hold to some distance: what is above that.
+fn second_glow(light: Arriving, scaled_density: f32, radius: f32) -> vec3<f32> {
+    let softened = light.distance * light.distance + lighting.softening;
+    let above = max(inverseSqrt(softened) - HELD / radius, 0.0);
+    let albedo = lighting.scatter[0].rgb;
+    return albedo * albedo * lighting.sigma * scaled_density * light.irradiance * softened * (above * PI / 16.0);
+}
+
 @compute @workgroup_size(8, 8, 4)
 fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(id >= frame.dims + 2u) {
@@ -60,6 +73,7 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
     var sum = vec3(0.0);
     var columns = array<vec4<f32>, 2>();
     var weights = 0.0;
+    var radii = 0.0;
     for (var i = bin_offsets[bin]; i < bin_offsets[bin + 1u]; i++) {
         let l = bin_indices[i];
         let rbf = rbfs[l];
@@ -75,19 +89,23 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
             columns[s] += phi * value(shades[2u * l + s], delta);
         }
         weights += phi;
+        radii += phi * rbf.radius;
     }
     let normalize_by = 1.0 / max(weights, 1e-30);
+    let inside = all(cell >= vec3(0)) && all(cell < vec3<i32>(frame.dims));
+    let d = select(0.0, textureLoad(density, max(cell, vec3(0)), 0).x, inside);
     var radiance = max(sum * normalize_by, vec3(0.0));
     let look = select(eye.xyz, (x - eye.xyz) / max(length(x - eye.xyz), 1e-9), eye.w > 0.0);
     for (var i = 0u; i < lighting.lamp_count; i++) {
-        let light = arriving_from(lighting.lamps[i], x, lighting.min_distance_squared);
+        let light = arriving_from(lighting.lamps[i], x, lighting.softening);
         let column = max(columns[i / 4u][i % 4u] * normalize_by, 0.0);
         // Light travels from the lamp, and on toward the eye: both against these two.
         let scattered = lighting.scatter[0].rgb * phase(dot(light.direction, look), lighting.g);
         radiance += scattered * light.irradiance * exp(-lighting.sigma * column);
+        if lighting.coefficients > 0u && lighting.lamps[i].is_sun == 0u {
+            radiance += second_glow(light, d * frame.density_scale, radii * normalize_by);
+        }
     }
     radiance = min(radiance, vec3(MAX_HALF));
-    let inside = all(cell >= vec3(0)) && all(cell < vec3<i32>(frame.dims));
-    let d = select(0.0, textureLoad(density, max(cell, vec3(0)), 0).x, inside);
     textureStore(volume, id, vec4(radiance, min(d * frame.density_scale, MAX_HALF)));
 }

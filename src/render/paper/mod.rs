@@ -18,10 +18,12 @@ mod tables;
 use bevy::prelude::*;
 use bevy::render::render_resource::PipelineCache;
 use bevy::render::renderer::RenderContext;
+use bevy::render::sync_world::MainEntity;
 
 pub(super) use self::light::{PaperLight, PaperSlice};
 pub(crate) use self::steps::{PaperPasses, Step};
 pub(super) use self::tables::Tables;
+use super::lighting::LightingUniform;
 use super::pass::{ComputePass, Job};
 use super::{SmokePasses, SmokeRenderStats, SmokeWork};
 
@@ -38,4 +40,12 @@ pub(super) fn paper(
 ) {
     let jobs: Vec<(&ComputePass, &Job)> = work.paper.iter().map(|(step, job)| (passes.paper.of(*step), job)).collect();
     ComputePass::run_all(LABEL, &jobs, &cache, &stats.paper, &mut ctx);
+}
+
+/// The method knows no lamps: says so once, and leaves them out.
+pub(super) fn without_lamps(lighting: LightingUniform, volume: MainEntity) -> LightingUniform {
+    if lighting.lamp_count > 0 {
+        warn_once!("smoke volume {volume:?} has SmokePaper: lamps do not light it (said once)");
+    }
+    LightingUniform { lamp_count: 0, ..lighting }
 }
