@@ -73,7 +73,7 @@ pub mod prelude {
     pub use crate::bundle::SmokeAnimation;
     pub use crate::lighting::SmokeEnvironment;
     pub use crate::medium::SmokeMedium;
-    pub use crate::scattering::{ScatteringEvents, SmokeScattering};
+    pub use crate::scattering::{ScatteringEvents, ScatteringSolver, SmokeScattering};
     pub use crate::volume::SmokeVolume;
 }
 

@@ -19,7 +19,7 @@ use super::exr_io::{ExrImage, encode_rgba};
 use super::output::OutputFile;
 use super::path::{self, PathArgs};
 use super::scene::{Environment, Scene, SceneLight};
-use super::solve::{PaperStats, SolveArgs};
+use super::solve::{PaperStats, SolveArgs, Solver};
 use crate::bundle::{self, SmokeAnimation};
 use crate::headless::{Headless, HeadlessError};
 use crate::lighting::magnitude;
@@ -150,10 +150,11 @@ pub(super) struct Choice<T> {
 
 #[derive(Serialize)]
 struct SolverStats {
+    method: Solver,
     converged: bool,
-    /// Sweeps over all pairs of RBFs, without the last.
+    /// transport: sweeps over all pairs of RBFs, without the last; diffusion: steps of conjugate gradients.
     sweeps: u32,
-    /// Estimated relative error.
+    /// transport: estimated relative error; diffusion: relative residual.
     error: f32,
 }
 
@@ -269,6 +270,7 @@ fn draw(job: Job) -> anyhow::Result<()> {
             headless.app.update();
         }
         let solver = headless.solver_reports().first().map(|report| SolverStats {
+            method: args.solve.solver(),
             converged: report.converged,
             sweeps: report.sweeps,
             error: report.error,
@@ -397,7 +399,7 @@ fn spawn_scene(
     };
     let volume = world.spawn((
         SmokeVolume { animation, frame: args.frame },
-        SmokeScattering { events, ..default() },
+        SmokeScattering { events, solver: args.solve.solver().into(), ..default() },
         SmokeMedium {
             sigma_t: scene.sigma_t as f32,
             albedo: LinearRgba::rgb(albedo.x, albedo.y, albedo.z),

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::render::Method;
 use crate::paper::{PaperExponential, SmokePaper};
+use crate::scattering::ScatteringSolver;
 
 /// Options of `smoke render` that only some methods have.
 #[derive(Args, Debug)]
@@ -16,6 +17,18 @@ pub struct SolveArgs {
     /// paper: how optical depth in spherical harmonics becomes transmittance [default: linear]
     #[arg(long, value_enum)]
     exponential: Option<Exponential>,
+    /// rbf: how multiple scattering is solved for [default: transport]
+    #[arg(long, value_enum)]
+    solver: Option<Solver>,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Solver {
+    /// Transport from RBF to RBF
+    Transport,
+    /// Diffusion on a grid
+    Diffusion,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,7 +51,13 @@ impl SolveArgs {
     pub(super) fn check(&self, method: Method) -> anyhow::Result<()> {
         let given = self.cg_steps.is_some() || self.exponential.is_some();
         ensure!(method == Method::Paper || !given, "--cg-steps and --exponential are for --method paper");
+        ensure!(method == Method::Rbf || self.solver.is_none(), "--solver is for --method rbf");
         Ok(())
+    }
+
+    /// The solver that method rbf uses.
+    pub(super) fn solver(&self) -> Solver {
+        self.solver.unwrap_or(Solver::Transport)
     }
 
     /// The component that draws by the paper's method, if that is the method.
@@ -50,6 +69,15 @@ impl SolveArgs {
             Some(Exponential::Hyb) => PaperExponential::Hybrid,
         };
         (method == Method::Paper).then(|| SmokePaper { steps: self.cg_steps.unwrap_or(default.steps), exponential })
+    }
+}
+
+impl From<Solver> for ScatteringSolver {
+    fn from(solver: Solver) -> Self {
+        match solver {
+            Solver::Transport => Self::Transport,
+            Solver::Diffusion => Self::Diffusion,
+        }
     }
 }
 

@@ -12,6 +12,7 @@ use bevy::render::render_resource::{
 use bevy::render::renderer::RenderDevice;
 use bevy::render::view::RetainedViewEntity;
 
+use super::diffusion::{self, DiffusionJob, DiffusionUniform};
 use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, texture_3d};
 use super::incident_light::{COLUMN_BYTES, ESCAPE_BYTES, PROBE_BYTES};
 use super::lighting::LightingUniform;
@@ -27,7 +28,7 @@ use super::{SmokeWork, incident_light, outgoing, pair_matrix, volume};
 use crate::density::GridShape;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
-use crate::scattering::ScatteringChoice;
+use crate::scattering::{ScatteringChoice, ScatteringSolver};
 
 /// A volume lit by an environment and lamps.
 pub(super) struct LitVolume {
@@ -40,6 +41,7 @@ pub(super) struct LitVolume {
     light: LightBuffers,
     incident_light: BindGroup,
     transport: Option<Transport>,
+    diffusion: Option<Diffusion>,
     /// Lit by this alone, in the place of the others.
     #[cfg(feature = "reference")]
     paper: Option<PaperLight>,
@@ -67,6 +69,15 @@ struct Transport {
     #[cfg_attr(not(feature = "cli"), expect(dead_code, reason = "only tools read back what the solver did"))]
     control: Buffer,
     bind_groups: Arc<scattering::BindGroups>,
+}
+
+/// The same by diffusion.
+struct Diffusion {
+    uniform: Cached<DiffusionUniform>,
+    solution: Buffer,
+    #[cfg_attr(not(feature = "cli"), expect(dead_code, reason = "only tools read back what the solver did"))]
+    control: Buffer,
+    bind_groups: DiffusionJob,
 }
 
 /// A lit volume as an eye sees it: its 3D texture.
@@ -125,6 +136,8 @@ pub(super) struct FrameLight<'a> {
     pub environment_version: u32,
     pub uniform: LightingUniform,
     pub choice: ScatteringChoice,
+    /// How it is solved for.
+    pub solver: ScatteringSolver,
     pub tolerance: f32,
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
@@ -167,6 +180,7 @@ impl LitVolume {
             uniform,
             light: buffers,
             transport: None,
+            diffusion: None,
             version: 0,
             last_used: 0,
             sliced: HashMap::default(),
@@ -182,14 +196,34 @@ impl LitVolume {
     }
 
     /// Starts solving where the frame before has ended.
-    #[cfg(feature = "reference")]
-    pub fn follow(&self, before: &Self, frame: &GpuSmokeFrame, gpu: &Gpu, work: &mut SmokeWork) {
+    pub fn follow(
+        &mut self,
+        before: &Self,
+        frame: &GpuSmokeFrame,
+        shape: GridShape,
+        gpu: &Gpu,
+        #[cfg_attr(not(feature = "reference"), expect(unused_variables))] work: &mut SmokeWork,
+    ) {
+        // The cells of all frames of an animation are the same.
+        self.diffusion = before.diffusion.as_ref().map(|before| {
+            let (uniform, solution) = (before.uniform.value.clone(), before.solution.clone());
+            Diffusion::new(frame, shape, uniform, solution, &self.uniform, &self.light, gpu)
+        });
+        #[cfg(feature = "reference")]
         if let (Some(paper), Some(before)) = (&self.paper, &before.paper) {
             paper.follow(before, frame, gpu, work);
         }
     }
 
-    pub fn update(&mut self, frame: &GpuSmokeFrame, light: FrameLight, now: u32, gpu: &Gpu, work: &mut SmokeWork) {
+    pub fn update(
+        &mut self,
+        frame: &GpuSmokeFrame,
+        shape: GridShape,
+        light: FrameLight,
+        now: u32,
+        gpu: &Gpu,
+        work: &mut SmokeWork,
+    ) {
         self.last_used = now;
         self.choice = light.choice;
         let (sigma, coefficients) = (light.uniform.sigma_mean, light.uniform.coefficients);
@@ -222,6 +256,17 @@ impl LitVolume {
                 work.pair_matrix.push(Job { bind_group, workgroups: pair_matrix::workgroups(frame) });
             }
         }
+        if light.choice.multiple && light.solver == ScatteringSolver::Diffusion {
+            let uniform = DiffusionUniform::new(shape, light.tolerance);
+            changed |= self.diffusion.is_none();
+            let diffusion = self.diffusion.get_or_insert_with(|| {
+                let solution = diffusion::solution_buffer(shape, gpu.device);
+                Diffusion::new(frame, shape, uniform.clone(), solution, &self.uniform, &self.light, gpu)
+            });
+            changed |= diffusion.uniform.set(uniform, gpu);
+        } else {
+            changed |= self.diffusion.take().is_some();
+        }
         if changed {
             self.environment_version = light.environment_version;
             self.version += 1;
@@ -230,6 +275,9 @@ impl LitVolume {
             if let Some(transport) = &self.transport {
                 let bind_groups = transport.bind_groups.clone();
                 work.scattering.push(ScatteringJob { bind_groups, rbf_count: frame.rbf_count, coefficients });
+            }
+            if let Some(diffusion) = &self.diffusion {
+                work.diffusion.push(diffusion.bind_groups.clone());
             }
         }
     }
@@ -272,7 +320,8 @@ impl LitVolume {
     /// The solver's report, where there is a solver.
     #[cfg(feature = "cli")]
     pub fn control(&self) -> Option<&Buffer> {
-        self.transport.as_ref().map(|transport| &transport.control)
+        let transport = self.transport.as_ref().map(|transport| &transport.control);
+        transport.or(self.diffusion.as_ref().map(|diffusion| &diffusion.control))
     }
 }
 
@@ -316,6 +365,33 @@ impl Transport {
             steps,
             control,
         }
+    }
+}
+
+impl Diffusion {
+    fn new(
+        frame: &GpuSmokeFrame,
+        shape: GridShape,
+        uniform: DiffusionUniform,
+        solution: Buffer,
+        lighting: &Cached<LightingUniform>,
+        light: &LightBuffers,
+        gpu: &Gpu,
+    ) -> Self {
+        let uniform = Cached::new(uniform, gpu);
+        let control = diffusion::control_buffer(gpu.device);
+        let bindings = diffusion::Bindings {
+            frame,
+            lighting: lighting.buffer(),
+            diffusion: uniform.buffer(),
+            sampler: gpu.sampler,
+            probes: &light.probes,
+            columns: &light.columns,
+            solution: &solution,
+            control: &control,
+        };
+        let bind_groups = Arc::new(bindings.bind(shape, &gpu.passes.diffusion, gpu.device, gpu.cache));
+        Self { bind_groups, uniform, solution, control }
     }
 }
 

@@ -8,6 +8,7 @@
 //! | `pair_matrix` | RBFs, coarse density | how much each RBF sees of each other | frame of smoke and extinction |
 //! | `incident_light` | coefficients, lamps, RBFs, coarse density | SH light and columns to the lamps at 7 probes an RBF | volume and light |
 //! | `scattering` | pair matrix, light at the probes | SH light that each RBF sees of the others | the same |
+//! | `diffusion` | light at the probes, coarse density | SH light at the probes, added; in the place of `pair_matrix` and `scattering` | the same |
 //! | `outgoing` | light at the probes, scattered light | quadratic fit of the radiance toward the eye, an RBF | the same, × view if g ≠ 0 |
 //! | `volume` | those, lamps, RBFs, bins, density | 3D texture of source radiance and density | the same |
 //! | `view` | the 3D texture, the view's depth | the view's colours | view |
@@ -21,6 +22,7 @@
 
 mod coarse;
 mod density;
+mod diffusion;
 mod environment;
 mod extract;
 mod footprint;
@@ -52,6 +54,7 @@ use bevy::render::renderer::{RenderAdapter, RenderDevice, RenderGraph, RenderGra
 use bevy::render::sync_world::SyncToRenderWorld;
 use bevy::render::{ExtractSchedule, GpuResourceAppExt, Render, RenderApp, RenderStartup, RenderSystems};
 
+use self::diffusion::{DiffusionJob, DiffusionPass};
 use self::environment::{EnvironmentJob, EnvironmentPass};
 pub use self::frame::GpuSmokeAnimation;
 #[cfg(feature = "cli")]
@@ -117,6 +120,7 @@ impl Plugin for SmokeRenderPlugin {
                     pair_matrix::pair_matrix,
                     incident_light::incident_light,
                     scattering::scattering,
+                    diffusion::diffusion,
                     outgoing::outgoing,
                     volume::volume,
                 )
@@ -156,6 +160,7 @@ pub(crate) struct SmokePasses {
     pair_matrix: ComputePass,
     incident_light: ComputePass,
     scattering: ScatteringPass,
+    diffusion: DiffusionPass,
     outgoing: ComputePass,
     volume: ComputePass,
     #[cfg(feature = "reference")]
@@ -166,7 +171,13 @@ impl SmokePasses {
     fn all(&self) -> impl Iterator<Item = &ComputePass> {
         let others =
             [&self.density, &self.coarse, &self.pair_matrix, &self.incident_light, &self.outgoing, &self.volume];
-        let all = self.environment.passes().into_iter().chain(self.scattering.passes()).chain(others);
+        let all = self
+            .environment
+            .passes()
+            .into_iter()
+            .chain(self.scattering.passes())
+            .chain(self.diffusion.passes())
+            .chain(others);
         #[cfg(feature = "reference")]
         let all = all.chain(self.paper.all());
         all
@@ -197,6 +208,7 @@ fn init_passes(
         pair_matrix: pair_matrix::pass(&shaders.pair_matrix, &cache),
         incident_light: incident_light::pass(&shaders.incident_light, &cache),
         scattering: ScatteringPass::new(&shaders, &cache),
+        diffusion: DiffusionPass::new(&shaders, &cache),
         outgoing: outgoing::pass(&shaders.outgoing, &cache),
         volume: volume::pass(&shaders.volume, &cache),
         #[cfg(feature = "reference")]
@@ -238,6 +250,7 @@ pub(crate) struct SmokeWork {
     pair_matrix: Vec<Job>,
     incident_light: Vec<Job>,
     scattering: Vec<ScatteringJob>,
+    diffusion: Vec<DiffusionJob>,
     outgoing: Vec<Job>,
     volume: Vec<Job>,
     #[cfg(feature = "reference")]

@@ -32,7 +32,7 @@ use super::paper;
 use super::view::{Emission, Glow, SmokeUniform, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokePasses, SmokeRenderStats, SmokeWork, coarse, density};
 use crate::density::GridShape;
-use crate::scattering::{ScatteringChoice, ScatteringEvents};
+use crate::scattering::{ScatteringChoice, ScatteringEvents, ScatteringSolver};
 use crate::volume::SmokeVolume;
 
 /// Frames that computed state is kept while nobody looks at it.
@@ -49,6 +49,9 @@ pub(super) struct SmokeCache {
 
 /// Lamps are softened over so many cells, and their glow within is drawn by the view pass.
 const SOFTENING_CELLS: f32 = 1.5;
+
+/// Where light that scatters more than once adds less than this to single scattering, it does not diffuse.
+const DIFFUSION_SHARE: f32 = 0.1;
 
 /// What all volumes share.
 struct Shared {
@@ -161,7 +164,14 @@ pub(super) fn prepare_smoke(
             stats.set_scattering(volume_entity, choice);
             let emission = volume.emission();
             // Light that scatters into a forward peak goes on for the solver of transport alone.
-            let transport = choice.multiple && emission == Emission::Exact;
+            let solver = volume.scattering.solver;
+            let transport = choice.multiple && solver == ScatteringSolver::Transport && emission == Emission::Exact;
+            if choice.multiple && solver == ScatteringSolver::Diffusion && choice.share < DIFFUSION_SHARE {
+                warn_once!(
+                    "smoke volume {volume_entity:?} is solved by diffusion but is thin: light hardly scatters twice in it, \
+                     and ScatteringSolver::Transport is more accurate (said once)"
+                );
+            }
             let (uniform, unit) = placed.lighting(volume, &lit, &smoke, transport);
             #[cfg(feature = "reference")]
             let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
@@ -171,6 +181,7 @@ pub(super) fn prepare_smoke(
                 environment_version: lit.version,
                 uniform,
                 choice,
+                solver,
                 tolerance: volume.scattering.clamped_tolerance(),
                 #[cfg(feature = "reference")]
                 paper: volume.paper,
@@ -179,14 +190,13 @@ pub(super) fn prepare_smoke(
                 .entry(key)
                 .and_modify(|v| {
                     if !v.is_of(frame, &light) {
-                        let next = LitVolume::new(frame, &light, &gpu);
-                        #[cfg(feature = "reference")]
-                        next.follow(v, frame, &gpu, &mut work);
+                        let mut next = LitVolume::new(frame, &light, &gpu);
+                        next.follow(v, frame, animation.shape, &gpu, &mut work);
                         *v = next;
                     }
                 })
                 .or_insert_with(|| LitVolume::new(frame, &light, &gpu));
-            lit_volume.update(frame, light, *now, &gpu, &mut work);
+            lit_volume.update(frame, animation.shape, light, *now, &gpu, &mut work);
 
             let eye = placed.eye(view);
             // Isotropic smoke looks the same from everywhere: one texture serves all views.

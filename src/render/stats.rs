@@ -9,10 +9,10 @@ use bevy::render::sync_world::MainEntity;
 use super::pass::DispatchCounter;
 use crate::scattering::ScatteringChoice;
 
-const PASS_COUNT: usize = 9 + cfg!(feature = "reference") as usize;
+const PASS_COUNT: usize = 10 + cfg!(feature = "reference") as usize;
 
 /// How many dispatches (and draws) each pass has made since the app started, in both worlds: the renderer counts, the
-/// main world reads. The scattering pass counts its solves, each of which is many dispatches. GPU times are in Bevy's `DiagnosticsStore` under `render/<pass>/elapsed_gpu`, where the adapter has
+/// main world reads. The scattering and the diffusion pass count their solves, each of which is many dispatches. GPU times are in Bevy's `DiagnosticsStore` under `render/<pass>/elapsed_gpu`, where the adapter has
 /// timestamps and `RenderDiagnosticsPlugin` is added.
 #[derive(Resource, Clone, Debug, Default)]
 pub struct SmokeRenderStats {
@@ -22,6 +22,7 @@ pub struct SmokeRenderStats {
     pub(crate) pair_matrix: DispatchCounter,
     pub(crate) incident_light: DispatchCounter,
     pub(crate) scattering: DispatchCounter,
+    pub(crate) diffusion: DispatchCounter,
     pub(crate) outgoing: DispatchCounter,
     pub(crate) volume: DispatchCounter,
     #[cfg(feature = "reference")]
@@ -31,7 +32,8 @@ pub struct SmokeRenderStats {
 }
 
 impl SmokeRenderStats {
-    /// The passes in the order they run, by the name of their GPU span.
+    /// The passes by the name of their GPU span: in the order they run by default, those that are chosen instead, and the
+    /// view pass.
     pub const PASSES: [&'static str; PASS_COUNT] = [
         super::environment::LABEL,
         super::density::LABEL,
@@ -41,6 +43,7 @@ impl SmokeRenderStats {
         super::scattering::LABEL,
         super::outgoing::LABEL,
         super::volume::LABEL,
+        super::diffusion::LABEL,
         #[cfg(feature = "reference")]
         super::paper::LABEL,
         super::view::LABEL,
@@ -75,6 +78,7 @@ impl SmokeRenderStats {
             &self.scattering,
             &self.outgoing,
             &self.volume,
+            &self.diffusion,
             #[cfg(feature = "reference")]
             &self.paper,
             &self.view,

@@ -6,6 +6,7 @@ use bevy::shader::{Shader, load_shader_library};
 
 /// Registers every shader as an embedded asset.
 pub(crate) fn embed(app: &mut App) {
+    load_shader_library!(app, "diffusion.wgsl");
     load_shader_library!(app, "footprint.wgsl");
     load_shader_library!(app, "frame.wgsl");
     load_shader_library!(app, "lighting.wgsl");
@@ -19,6 +20,9 @@ pub(crate) fn embed(app: &mut App) {
     embedded_asset!(app, "scattering_source.wgsl");
     embedded_asset!(app, "sweep.wgsl");
     embedded_asset!(app, "extrapolate.wgsl");
+    embedded_asset!(app, "diffusion_source.wgsl");
+    embedded_asset!(app, "diffusion_solve.wgsl");
+    embedded_asset!(app, "diffusion_scatter.wgsl");
     embedded_asset!(app, "outgoing.wgsl");
     embedded_asset!(app, "volume.wgsl");
     embedded_asset!(app, "view.wgsl");
@@ -45,6 +49,9 @@ pub(crate) struct Shaders {
     pub scattering_source: Handle<Shader>,
     pub sweep: Handle<Shader>,
     pub extrapolate: Handle<Shader>,
+    pub diffusion_source: Handle<Shader>,
+    pub diffusion_solve: Handle<Shader>,
+    pub diffusion_scatter: Handle<Shader>,
     pub outgoing: Handle<Shader>,
     pub volume: Handle<Shader>,
     pub view: Handle<Shader>,
@@ -75,6 +82,9 @@ impl Shaders {
             scattering_source: load_embedded_asset!(assets, "scattering_source.wgsl"),
             sweep: load_embedded_asset!(assets, "sweep.wgsl"),
             extrapolate: load_embedded_asset!(assets, "extrapolate.wgsl"),
+            diffusion_source: load_embedded_asset!(assets, "diffusion_source.wgsl"),
+            diffusion_solve: load_embedded_asset!(assets, "diffusion_solve.wgsl"),
+            diffusion_scatter: load_embedded_asset!(assets, "diffusion_scatter.wgsl"),
             outgoing: load_embedded_asset!(assets, "outgoing.wgsl"),
             volume: load_embedded_asset!(assets, "volume.wgsl"),
             view: load_embedded_asset!(assets, "view.wgsl"),
@@ -114,6 +124,7 @@ mod tests {
     fn validate(name: &str, source: &str, defs: &[&str]) {
         let mut composer = Composer::default();
         let libraries = [
+            ("diffusion.wgsl", include_str!("diffusion.wgsl")),
             ("footprint.wgsl", include_str!("footprint.wgsl")),
             ("frame.wgsl", include_str!("frame.wgsl")),
             ("lighting.wgsl", include_str!("lighting.wgsl")),
@@ -161,6 +172,9 @@ mod tests {
         validate("scattering_source.wgsl", include_str!("scattering_source.wgsl"), &[]);
         validate("sweep.wgsl", include_str!("sweep.wgsl"), &[]);
         validate("extrapolate.wgsl", include_str!("extrapolate.wgsl"), &[]);
+        validate("diffusion_source.wgsl", include_str!("diffusion_source.wgsl"), &[]);
+        validate("diffusion_solve.wgsl", include_str!("diffusion_solve.wgsl"), &[]);
+        validate("diffusion_scatter.wgsl", include_str!("diffusion_scatter.wgsl"), &[]);
         validate("outgoing.wgsl", include_str!("outgoing.wgsl"), &[]);
         validate("volume.wgsl", include_str!("volume.wgsl"), &[]);
         validate("paper_single.wgsl", include_str!("paper_single.wgsl"), &[]);

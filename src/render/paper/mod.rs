@@ -20,8 +20,14 @@ use bevy::render::render_resource::PipelineCache;
 use bevy::render::renderer::RenderContext;
 use bevy::render::sync_world::MainEntity;
 
+#[cfg(all(test, feature = "cli"))]
+pub(super) use self::light::jobs;
 pub(super) use self::light::{PaperLight, PaperSlice};
+#[cfg(all(test, feature = "cli"))]
+pub(super) use self::steps::{CarryBindings, LightBindings, LookBindings};
 pub(crate) use self::steps::{PaperPasses, Step};
+#[cfg(all(test, feature = "cli"))]
+pub(super) use self::tables::PaperUniform;
 pub(super) use self::tables::Tables;
 use super::lighting::LightingUniform;
 use super::pass::{ComputePass, Job};

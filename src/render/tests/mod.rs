@@ -7,10 +7,12 @@
 
 mod coarse;
 mod density;
+mod diffusion;
 mod environment;
 mod incident_light;
 mod outgoing;
 mod pair_matrix;
+mod paper;
 mod pipelines;
 mod scattering;
 mod view;
