@@ -6,7 +6,7 @@
 // density columns to the lamps.
 #import bevy_smoke::frame::{Frame, Rbf}
 #import bevy_smoke::sh::{basis, SH_COEFFICIENTS}
-#import bevy_smoke::lighting::{Lighting, arriving_from, probe_position, DIRECTIONS, MAX_LAMPS, PI, PROBES}
+#import bevy_smoke::lighting::{Lighting, arriving_from, probe_position, probe_reach, DIRECTIONS, MAX_LAMPS, PI, PROBES}
 
 const MARCH_STEPS: u32 = 20u;
 const GOLDEN_ANGLE: f32 = 2.39996322972865;
@@ -78,7 +78,8 @@ fn gather(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let rbf = rbfs[group.x];
-    let point = probe_position(rbf.center, rbf.radius, group.y);
+    let reach = probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, rbf.radius);
+    let point = probe_position(rbf.center, reach, group.y);
     let probe = group.x * PROBES + group.y;
     let towards = direction(thread);
     let met = column(point, towards, 1e30);
