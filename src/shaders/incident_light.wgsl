@@ -60,9 +60,10 @@ fn column(from_point: vec3<f32>, towards: vec3<f32>, distance: f32) -> f32 {
 
 fn environment_radiance(towards: vec3<f32>) -> vec3<f32> {
     let y = basis(lighting.environment_from_bundle * towards);
+    let sun = basis(lighting.sun_direction);
     var radiance = vec3(0.0);
     for (var k = 0u; k < SH_COEFFICIENTS; k++) {
-        radiance += y[k] * environment[k].rgb;
+        radiance += y[k] * (environment[k].rgb - sun[k] * lighting.sun_irradiance);
     }
     return radiance * lighting.environment_scale + lighting.ambient;
 }

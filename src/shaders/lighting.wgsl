@@ -24,6 +24,9 @@ struct Lighting {
     ambient: vec3<f32>,
     // Multiplies the environment's coefficients.
     environment_scale: f32,
+    // A sun that the coefficients contain and a lamp stands for: in the environment's axes and units.
+    sun_direction: vec3<f32>,
+    sun_irradiance: vec3<f32>,
     // Extinction a bundle unit where the scaled density is 1, as light on its way to the smoke sees it; reduced for
     // multiple scattering forward (delta-M).
     sigma: vec3<f32>,
