@@ -150,6 +150,7 @@ pub(super) fn prepare_smoke(
             let choice = placed.choose_scattering(volume, frame, before, &device);
             stats.set_scattering(volume_entity, choice);
             let (uniform, unit) = placed.lighting(volume, &lit, &smoke, choice.multiple);
+            warn_of_limits(volume_entity, &uniform, frame.typical_depth);
             let glows = Glow::all(&uniform, placed.shape.half_extent());
             let light = FrameLight {
                 coefficients: lit.coefficients,
@@ -361,6 +362,29 @@ impl Placed {
             glow_count,
             glows,
         })
+    }
+}
+
+/// Optical radius of a typical RBF beyond which the picture is off by a tenth and more.
+const THICK: f32 = 4.0;
+/// Mean cosine beyond which sharp light that scatters more than once is.
+const FORWARD: f32 = 0.75;
+
+/// Says once where the method leaves what it is good for.
+fn warn_of_limits(entity: MainEntity, lighting: &LightingUniform, typical_depth: f32) {
+    let thickness = lighting.sigma_mean * typical_depth;
+    if thickness > THICK {
+        warn_once!(
+            "smoke volume {entity:?} is so thick that light ends within single RBFs (optical radius {thickness:.1}): its \
+             picture is off by a tenth or more; bake it with more RBFs, or lower sigma_t (said once)"
+        );
+    }
+    if lighting.g > FORWARD && lighting.coefficients > 0 && lighting.lamp_count > 0 {
+        warn_once!(
+            "smoke volume {entity:?} scatters the light of a sun or lamp forward (g = {}) more than once: there its \
+             picture is off by a tenth or so (said once)",
+            lighting.g
+        );
     }
 }
 
