@@ -11,7 +11,7 @@ use super::{
     Grid, Medium, PROBES, Ray,
     incident_light::{Incident, column, probes},
     outgoing::{Outgoing, Viewer},
-    volume::{Volume, blend, padded_center},
+    volume::{Volume, blend_cells, padded_center},
 };
 use crate::{
     density::GridShape,
@@ -112,7 +112,7 @@ pub fn shine(
 ) {
     let shape = volume.shape;
     let padded = GridShape::new(shape.dims + 2);
-    let columns = blend(rbfs, &columns(rbfs, coarse, lamp), bins, shape);
+    let columns = blend_cells(rbfs, &columns(rbfs, coarse, lamp), bins, shape);
     volume.radiance.par_iter_mut().zip(columns).enumerate().for_each(|(index, (radiance, column))| {
         let x = padded_center(shape, padded.cell(index));
         *radiance += scattered_once(lamp, x, column, medium, sigma, viewer);

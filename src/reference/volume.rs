@@ -45,12 +45,12 @@ pub fn volume(rbfs: &[Rbf], outgoing: &[Outgoing], bins: &RbfBins, density: &Gri
     for (index, &value) in density.values.iter().enumerate() {
         values[padded.index(shape.cell(index) + 1)] = value;
     }
-    Volume { shape, radiance: blend(rbfs, outgoing, bins, shape), density: values }
+    Volume { shape, radiance: blend_cells(rbfs, outgoing, bins, shape), density: values }
 }
 
 /// The RBFs' fits interpolated to every cell of the padded grid, with the RBFs listed in the cell's bin (padding cells:
 /// in the bin of the nearest cell of the box).
-pub(super) fn blend(rbfs: &[Rbf], fits: &[Outgoing], bins: &RbfBins, shape: GridShape) -> Vec<DVec3> {
+pub(super) fn blend_cells(rbfs: &[Rbf], fits: &[Outgoing], bins: &RbfBins, shape: GridShape) -> Vec<DVec3> {
     let padded = GridShape::new(shape.dims + 2);
     let value = |index| {
         let cell = padded.cell(index);
@@ -66,7 +66,7 @@ pub(super) fn padded_center(shape: GridShape, cell: UVec3) -> DVec3 {
     center(shape, cell) - cell_size(shape)
 }
 
-/// The radiance that [`volume`] gives a point: [`blend`], but never below zero.
+/// What [`volume`] gives a point: [`blend`], but never below zero.
 fn interpolate<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>) -> DVec3 {
     blend(x, rbfs).max(DVec3::ZERO)
 }
