@@ -62,6 +62,7 @@ pub mod residual;
 pub mod scattering;
 pub mod sh;
 mod shaders;
+mod sun;
 pub mod volume;
 
 use bevy::app::{App, Plugin};

@@ -35,7 +35,8 @@ enum Cli {
     Compare(compare::CompareArgs),
     /// Run a numerical study behind the method again
     #[command(after_help = study::EXAMPLES)]
-    Study(study::StudyArgs),
+    #[command(subcommand)]
+    Study(study::Study),
 }
 
 const OVERVIEW: &str = "\
@@ -70,7 +71,7 @@ fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Cli::Info(args) => info::run(&args),
         Cli::Render(args) => render::run(args),
         Cli::Compare(args) => compare::run(&args),
-        Cli::Study(args) => study::run(&args),
+        Cli::Study(what) => study::run(&what),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

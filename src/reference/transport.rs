@@ -28,7 +28,7 @@ use rayon::prelude::*;
 use super::{
     Grid, Medium, PROBES,
     incident_light::{Incident, Lighting, incident_light},
-    lamp::{Lamp, with_lamps},
+    lamp::{Lamps, with_lamps},
     rbf_center,
 };
 use crate::{
@@ -82,7 +82,7 @@ pub fn multiple_scattering(
     rbfs: &[Rbf],
     coarse: &Grid,
     lighting: &Lighting,
-    lamps: &[Lamp],
+    lamps: &Lamps,
     medium: &Medium,
 ) -> Vec<[ShRgb; PROBES]> {
     let sigma = DeltaM::new(medium).sigma;

@@ -66,7 +66,7 @@ pub(super) fn padded_center(shape: GridShape, cell: UVec3) -> DVec3 {
     center(shape, cell) - cell_size(shape)
 }
 
-/// The radiance that [`volume`] gives a point: [`blend`], but never below zero.
+/// What [`volume`] gives a point: [`blend`], but never below zero.
 fn interpolate<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgoing)>) -> DVec3 {
     blend(x, rbfs).max(DVec3::ZERO)
 }

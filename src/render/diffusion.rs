@@ -97,7 +97,8 @@ impl DiffusionPass {
             compute,
             (lighting(), diffusion(), read(), write(), write(), write(), write(), write(), write(), write()),
         );
-        let scatter = BindGroupLayoutEntries::sequential(compute, (frame(), diffusion(), read(), read(), write()));
+        let scatter =
+            BindGroupLayoutEntries::sequential(compute, (frame(), lighting(), diffusion(), read(), read(), write()));
         let pass = |label, entries: &[_], shader, entry_point| {
             ComputePass::new(label, entries, shader, entry_point, vec![], cache)
         };
@@ -222,7 +223,8 @@ impl Bindings<'_> {
             // The entry points share their layout.
             pass.begin.bind(device, cache, bindings)
         });
-        let scatter = (frame(), diffusion(), rbfs(), vectors.as_entire_binding(), self.probes.as_entire_binding());
+        let scatter =
+            (frame(), lighting(), diffusion(), rbfs(), vectors.as_entire_binding(), self.probes.as_entire_binding());
         BindGroups {
             rbf_count,
             cell_count,

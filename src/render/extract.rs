@@ -17,6 +17,7 @@ use crate::medium::SmokeMedium;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
 use crate::scattering::SmokeScattering;
+use crate::sun::EnvironmentSuns;
 use crate::volume::SmokeVolume;
 
 /// The smoke in the scene, and what lights it.
@@ -25,6 +26,7 @@ pub(super) struct ExtractedSmoke {
     pub volumes: HashMap<MainEntity, ExtractedVolume>,
     pub camera_environments: HashMap<MainEntity, CameraEnvironment>,
     pub lamps: Vec<Lamp>,
+    pub suns: EnvironmentSuns,
 }
 
 /// A volume as the render world sees it.
@@ -93,6 +95,7 @@ pub(super) fn extract_smoke(
     points: Extract<LampQuery<PointLight>>,
     spots: Extract<LampQuery<SpotLight>>,
     areas: Extract<Query<(), With<RectLight>>>,
+    environment_suns: Extract<Res<EnvironmentSuns>>,
 ) {
     smoke.volumes.clear();
     for (entity, volume, medium, environment, scattering, transform, layers) in &volumes {
@@ -117,6 +120,9 @@ pub(super) fn extract_smoke(
     smoke.lamps.clear();
     if smoke.volumes.is_empty() {
         return;
+    }
+    if environment_suns.is_changed() {
+        smoke.suns = environment_suns.clone();
     }
     let global = ambient.as_ref().map_or(Vec3::ZERO, |light| radiance(light.color, light.brightness));
     for (entity, map, ambient) in &cameras {

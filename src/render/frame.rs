@@ -38,6 +38,8 @@ pub(super) struct GpuSmokeFrame {
     pub rbf_count: u32,
     /// Density columns in all directions from within the smoke, scaled density times bundle length: a sample.
     columns: Vec<f32>,
+    /// Scaled density times radius of an RBF, the mean over all smoke: its optical radius over the extinction.
+    pub typical_depth: f32,
     pub uniform: Buffer,
     pub rbfs: Buffer,
     pub bin_offsets: Buffer,
@@ -93,6 +95,7 @@ impl GpuSmokeFrame {
         Self {
             rbf_count: rbfs.len() as u32,
             columns: sample_columns(rbfs, max_density),
+            typical_depth: typical_depth(rbfs, max_density),
             uniform: uniform(device, queue, "smoke_frame", frame_uniform(shape, frame, &bins, max_density)),
             rbfs: rbf_buffer(device, rbfs),
             bin_offsets: storage(device, "smoke_bin_offsets", &bins.offsets),
@@ -117,6 +120,12 @@ impl GpuSmokeFrame {
     pub fn take_unpacking(&self) -> bool {
         !self.unpacked.swap(true, Ordering::Relaxed)
     }
+}
+
+fn typical_depth(rbfs: &[Rbf], max_density: f32) -> f32 {
+    let mass = |rbf: &Rbf| rbf.weight * rbf.radius.powi(3);
+    let sum: f32 = rbfs.iter().map(|rbf| mass(rbf) * rbf.weight / max_density * rbf.radius).sum();
+    sum / rbfs.iter().map(mass).sum::<f32>().max(f32::MIN_POSITIVE)
 }
 
 /// Columns along the axes from the centres of RBFs, spread over the list.

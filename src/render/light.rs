@@ -17,6 +17,7 @@ use super::environment::{RadianceMap, coefficient_buffer};
 use super::extract::{ExtractedSmoke, ExtractedVolume};
 use super::prepare::Gpu;
 use crate::lighting::{EnvironmentCoefficients, SmokeEnvironment, magnitude};
+use crate::sun::{EnvironmentSuns, Sun};
 
 /// What tells one light on a volume from another.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
@@ -67,6 +68,8 @@ pub(super) struct Lit<'a> {
     pub intensity: f32,
     /// Radiance from everywhere on top of it, cd/m².
     pub ambient: Vec3,
+    /// The sun that the coefficients contain, in the environment's axes and units.
+    pub sun: Option<Sun>,
 }
 
 impl Light {
@@ -200,9 +203,14 @@ impl Environments {
         &mut self,
         light: Light,
         images: &RenderAssets<GpuImage>,
+        suns: &EnvironmentSuns,
         gpu: &Gpu,
         work: &mut SmokeWork,
     ) -> Option<Lit<'_>> {
+        let sun = match light.content {
+            Content::Image { id, .. } => suns.0.get(&id).copied().flatten(),
+            Content::Coefficients(_) => None,
+        };
         let content = Resolved::new(light.content, images, gpu)?;
         let source = content.source();
         let environment = self.entries.entry(light.key.environment).or_insert_with(|| Environment {
@@ -236,6 +244,7 @@ impl Environments {
             environment_from_world: light.environment_from_world,
             intensity: light.intensity,
             ambient: light.ambient,
+            sun,
         })
     }
 }

@@ -26,6 +26,8 @@ pub(super) struct LightingUniform {
     pub environment_from_bundle: Mat3,
     pub ambient: Vec3,
     pub environment_scale: f32,
+    pub sun_direction: Vec3,
+    pub sun_irradiance: Vec3,
     pub sigma: Vec3,
     pub g: f32,
     pub scatter: [Vec4; 4],

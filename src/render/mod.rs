@@ -64,6 +64,7 @@ pub use self::scattering::SolverReport;
 use self::scattering::{ScatteringJob, ScatteringPass};
 pub use self::stats::SmokeRenderStats;
 use crate::shaders::{self, Shaders};
+use crate::sun::{EnvironmentSuns, find_suns};
 use crate::volume::SmokeVolume;
 
 /// Where smoke runs in Bevy's render schedules.
@@ -89,6 +90,8 @@ impl Plugin for SmokeRenderPlugin {
         let stats = SmokeRenderStats::default();
         app.add_plugins(RenderAssetPlugin::<GpuSmokeAnimation>::default())
             .insert_resource(stats.clone())
+            .init_resource::<EnvironmentSuns>()
+            .add_systems(PostUpdate, find_suns)
             .register_required_components::<SmokeVolume, SyncToRenderWorld>();
 
         let render_app = app.sub_app_mut(RenderApp);

@@ -25,7 +25,7 @@ use super::footprint::Footprints;
 use super::frame::{GpuSmokeAnimation, GpuSmokeFrame};
 use super::lamp::lamps_of;
 use super::light::{Environments, Light, LightKey, Lit};
-use super::lighting::{LightingUniform, MAX_LAMPS};
+use super::lighting::{LampUniform, LightingUniform, MAX_LAMPS};
 use super::lit::{FrameLight, LitVolume};
 #[cfg(feature = "reference")]
 use super::paper;
@@ -150,7 +150,7 @@ pub(super) fn prepare_smoke(
             let Some(light) = Light::of(volume_entity, volume, view, &smoke) else {
                 continue;
             };
-            let Some(lit) = environments.light(light, &images, &gpu, &mut work) else {
+            let Some(lit) = environments.light(light, &images, &smoke.suns, &gpu, &mut work) else {
                 continue;
             };
             if frame.take_unpacking() {
@@ -175,6 +175,7 @@ pub(super) fn prepare_smoke(
             let (uniform, unit) = placed.lighting(volume, &lit, &smoke, transport);
             #[cfg(feature = "reference")]
             let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
+            warn_of_limits(volume_entity, &uniform, frame.typical_depth);
             let glows = Glow::all(&uniform, placed.shape.half_extent());
             let light = FrameLight {
                 coefficients: lit.coefficients,
@@ -269,23 +270,37 @@ impl Placed {
         let m = &self.world_from_bundle.matrix3;
         let world_from_bundle =
             Mat3::from_cols(m.x_axis.normalize().into(), m.y_axis.normalize().into(), m.z_axis.normalize().into());
-        let (lamps, strongest) = lamps_of(
+        let environment_from_bundle = lit.environment_from_world * world_from_bundle;
+        let (mut lamps, strongest) = lamps_of(
             &smoke.lamps,
             &volume.layers,
             &Affine3A::from_mat3_translation(world_from_bundle * self.scale, self.world_from_bundle.translation.into()),
             self.scale,
             self.shape.half_extent(),
         );
+        let (mut sun_direction, mut sun_irradiance) = (Vec3::Y, Vec3::ZERO);
         let strongest = lit.intensity.abs().max(lit.ambient.max_element()).max(strongest);
         let unit = match lamps.is_empty() && lit.ambient == Vec3::ZERO {
             true => lit.intensity,
             false => strongest,
         };
+        if let Some(sun) = lit.sun.filter(|_| lamps.len() < MAX_LAMPS && lit.intensity != 0.0) {
+            sun_direction = sun.direction;
+            sun_irradiance = sun.irradiance;
+            lamps.push(LampUniform {
+                position: environment_from_bundle.transpose() * sun.direction,
+                color: sun.irradiance * lit.intensity,
+                is_sun: 1,
+                ..default()
+            });
+        }
         let relative = |value: f32| if value == unit { 1.0 } else { value / unit };
         let mut uniform = LightingUniform {
-            environment_from_bundle: lit.environment_from_world * world_from_bundle,
+            environment_from_bundle,
             ambient: lit.ambient.map(|ambient| if ambient == 0.0 { 0.0 } else { relative(ambient) }),
             environment_scale: relative(lit.intensity),
+            sun_direction,
+            sun_irradiance,
             lamp_count: lamps.len() as u32,
             softening: (SOFTENING_CELLS * self.shape.cell_size()).powi(2),
             ..LightingUniform::of_medium(&volume.medium, self.sigma(volume), multiple)
@@ -380,6 +395,29 @@ impl Placed {
             glow_count,
             glows,
         })
+    }
+}
+
+/// Optical radius of a typical RBF beyond which the picture is off by a tenth and more.
+const THICK: f32 = 4.0;
+/// Mean cosine beyond which sharp light that scatters more than once is.
+const FORWARD: f32 = 0.75;
+
+/// Says once where the method leaves what it is good for.
+fn warn_of_limits(entity: MainEntity, lighting: &LightingUniform, typical_depth: f32) {
+    let thickness = lighting.sigma_mean * typical_depth;
+    if thickness > THICK {
+        warn_once!(
+            "smoke volume {entity:?} is so thick that light ends within single RBFs (optical radius {thickness:.1}): its \
+             picture is off by a tenth or more; bake it with more RBFs, or lower sigma_t (said once)"
+        );
+    }
+    if lighting.g > FORWARD && lighting.coefficients > 0 && lighting.lamp_count > 0 {
+        warn_once!(
+            "smoke volume {entity:?} scatters the light of a sun or lamp forward (g = {}) more than once: there its \
+             picture is off by a tenth or so (said once)",
+            lighting.g
+        );
     }
 }
 

@@ -2,15 +2,16 @@
 // hold smoke. One thread a probe.
 #import bevy_smoke::frame::{Frame, Rbf}
 #import bevy_smoke::sh::SH_COEFFICIENTS
-#import bevy_smoke::lighting::{probe_position, PROBES}
+#import bevy_smoke::lighting::{Lighting, probe_position, probe_reach, PROBES}
 #import bevy_smoke::diffusion::{Diffusion, index_of, LINEAR, UNIT}
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<uniform> diffusion: Diffusion;
-@group(0) @binding(2) var<storage, read> rbfs: array<Rbf>;
+@group(0) @binding(1) var<uniform> lighting: Lighting;
+@group(0) @binding(2) var<uniform> diffusion: Diffusion;
+@group(0) @binding(3) var<storage, read> rbfs: array<Rbf>;
 // As `media` in `diffusion_solve.wgsl` leaves them.
-@group(0) @binding(3) var<storage, read> terms: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> probes: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> terms: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> probes: array<vec4<f32>>;
 
 @compute @workgroup_size(64)
 fn scatter(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -19,7 +20,8 @@ fn scatter(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let rbf = rbfs[probe / PROBES];
-    let x = probe_position(rbf.center, rbf.radius, probe % PROBES);
+    let reach = probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, rbf.radius);
+    let x = probe_position(rbf.center, reach, probe % PROBES);
     let at = x / diffusion.cell + 0.5 * vec3<f32>(diffusion.dims) - 0.5;
     let low = floor(at);
     let f = at - low;

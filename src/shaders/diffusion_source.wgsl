@@ -2,7 +2,7 @@
 // RBF's probes, `spread` blends the fits in every cell as `volume.wgsl` does, and averages the density.
 #import bevy_smoke::frame::{Frame, Rbf, bin_index}
 #import bevy_smoke::sh::{basis, band, SH_COEFFICIENTS}
-#import bevy_smoke::lighting::{Lighting, Fit, arriving_from, probe_position, MAX_LAMPS, PROBES, RHO}
+#import bevy_smoke::lighting::{Lighting, Fit, arriving_from, probe_position, probe_reach, MAX_LAMPS, PROBES}
 #import bevy_smoke::diffusion::{Cell, Diffusion, cell_at, LINEAR, UNIT}
 
 // Bands 0 and 1.
@@ -35,11 +35,12 @@ fn fit(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let rbf = rbfs[l];
+    let r = probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, rbf.radius);
     var values: array<vec4<f32>, PROBES>;
     for (var i = 0u; i < PROBES; i++) {
         let probe = l * PROBES + i;
         var light = probes[probe * SH_COEFFICIENTS + k].rgb;
-        let point = probe_position(rbf.center, rbf.radius, i);
+        let point = probe_position(rbf.center, r, i);
         for (var j = 0u; j < lighting.lamp_count; j++) {
             let lamp = arriving_from(lighting.lamps[j], point, lighting.softening);
             let kept = exp(-lighting.sigma * columns[probe * MAX_LAMPS + j]);
@@ -47,7 +48,6 @@ fn fit(@builtin(global_invocation_id) id: vec3<u32>) {
         }
         values[i] = vec4(lighting.scatter[band(k)].rgb * light, 0.0);
     }
-    let r = RHO * rbf.radius;
     let center = values[0];
     fits[id.x] = Fit(
         center,

@@ -6,7 +6,7 @@
 // density columns to the lamps.
 #import bevy_smoke::frame::{Frame, Rbf}
 #import bevy_smoke::sh::{basis, SH_COEFFICIENTS}
-#import bevy_smoke::lighting::{Lighting, arriving_from, probe_position, DIRECTIONS, MAX_LAMPS, PI, PROBES}
+#import bevy_smoke::lighting::{Lighting, arriving_from, probe_position, probe_reach, DIRECTIONS, MAX_LAMPS, PI, PROBES}
 
 const MARCH_STEPS: u32 = 20u;
 const GOLDEN_ANGLE: f32 = 2.39996322972865;
@@ -60,9 +60,10 @@ fn column(from_point: vec3<f32>, towards: vec3<f32>, distance: f32) -> f32 {
 
 fn environment_radiance(towards: vec3<f32>) -> vec3<f32> {
     let y = basis(lighting.environment_from_bundle * towards);
+    let sun = basis(lighting.sun_direction);
     var radiance = vec3(0.0);
     for (var k = 0u; k < SH_COEFFICIENTS; k++) {
-        radiance += y[k] * environment[k].rgb;
+        radiance += y[k] * (environment[k].rgb - sun[k] * lighting.sun_irradiance);
     }
     return radiance * lighting.environment_scale + lighting.ambient;
 }
@@ -78,7 +79,8 @@ fn gather(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let rbf = rbfs[group.x];
-    let point = probe_position(rbf.center, rbf.radius, group.y);
+    let reach = probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, rbf.radius);
+    let point = probe_position(rbf.center, reach, group.y);
     let probe = group.x * PROBES + group.y;
     let towards = direction(thread);
     let met = column(point, towards, 1e30);

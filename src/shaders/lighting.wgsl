@@ -24,6 +24,9 @@ struct Lighting {
     ambient: vec3<f32>,
     // Multiplies the environment's coefficients.
     environment_scale: f32,
+    // A sun that the coefficients contain and a lamp stands for: in the environment's axes and units.
+    sun_direction: vec3<f32>,
+    sun_irradiance: vec3<f32>,
     // Extinction a bundle unit where the scaled density is 1, as light on its way to the smoke sees it; reduced for
     // multiple scattering forward (delta-M).
     sigma: vec3<f32>,
@@ -62,11 +65,14 @@ struct Fit {
 const DIRECTIONS: u32 = 64u;
 // Probes around an RBF: its centre, and both sides along x, y and z.
 const PROBES: u32 = 7u;
-// Their distance from the centre over the RBF's radius.
-const RHO: f32 = 1.0;
+// How far they are from its centre: a radius, but farther where the RBF is so thick that light ends before, about where
+// the smoke that is left outside has an optical depth of 1. `depth` is the optical depth of a radius at the RBF's weight.
+fn probe_reach(depth: f32, radius: f32) -> f32 {
+    return radius * sqrt(clamp(log(max(3.0 * depth, 1e-30)), 1.0, 6.0));
+}
 
-fn probe_position(center: vec3<f32>, radius: f32, i: u32) -> vec3<f32> {
-    let side = select(-RHO, RHO, (i & 1u) == 1u) * radius;
+fn probe_position(center: vec3<f32>, reach: f32, i: u32) -> vec3<f32> {
+    let side = select(-reach, reach, (i & 1u) == 1u);
     let axis = (i + 1u) / 2u;
     return center + side * vec3(f32(axis == 1u), f32(axis == 2u), f32(axis == 3u));
 }

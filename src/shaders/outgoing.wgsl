@@ -7,7 +7,7 @@
 // fitted likewise.
 #import bevy_smoke::frame::{Frame, Rbf}
 #import bevy_smoke::sh::{basis, band, SH_COEFFICIENTS}
-#import bevy_smoke::lighting::{Lighting, Fit, probe_position, MAX_LAMPS, PI, PROBES, RHO}
+#import bevy_smoke::lighting::{Lighting, Fit, probe_position, probe_reach, MAX_LAMPS, PI, PROBES}
 
 struct Look {
     // Bundle space: the eye (w = 1, perspective) or the direction of all rays (w = 0, orthographic).
@@ -42,8 +42,7 @@ fn scattered(l: u32, probe: u32, k: u32) -> vec3<f32> {
 }
 
 // The quadratic through the values at the probes of an RBF.
-fn fit(values: ptr<function, array<vec4<f32>, PROBES>>, radius: f32) -> Fit {
-    let r = RHO * radius;
+fn fit(values: ptr<function, array<vec4<f32>, PROBES>>, r: f32) -> Fit {
     let center = (*values)[0];
     var f: Fit;
     f.center = center;
@@ -63,13 +62,14 @@ fn leave(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let l = id.x;
     let rbf = rbfs[l];
+    let reach = probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, rbf.radius);
     var radiance: array<vec4<f32>, PROBES>;
     var low = vec3(3e38);
     var high = vec3(-3e38);
     for (var i = 0u; i < PROBES; i++) {
         var v = look.eye.xyz;
         if look.eye.w > 0.0 {
-            let ray = probe_position(rbf.center, rbf.radius, i) - look.eye.xyz;
+            let ray = probe_position(rbf.center, reach, i) - look.eye.xyz;
             // An eye on the probe sees no direction in particular.
             v = ray / max(length(ray), 1e-9);
         }
@@ -87,7 +87,7 @@ fn leave(@builtin(global_invocation_id) id: vec3<u32>) {
         low = min(low, sum);
         high = max(high, sum);
     }
-    var f = fit(&radiance, rbf.radius);
+    var f = fit(&radiance, reach);
     // Beyond the probes the quadratic is a guess, which may go no farther than this.
     low *= 0.5;
     high *= 2.0;
@@ -104,6 +104,6 @@ fn leave(@builtin(global_invocation_id) id: vec3<u32>) {
             let at = (l * PROBES + i) * MAX_LAMPS + 4u * s;
             column[i] = vec4(columns[at], columns[at + 1u], columns[at + 2u], columns[at + 3u]);
         }
-        shades[2u * l + s] = fit(&column, rbf.radius);
+        shades[2u * l + s] = fit(&column, reach);
     }
 }

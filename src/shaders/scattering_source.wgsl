@@ -9,7 +9,7 @@
 // Also readies the solution of the frame before to start from.
 #import bevy_smoke::frame::{Frame, Rbf}
 #import bevy_smoke::sh::{basis, band, SH_COEFFICIENTS}
-#import bevy_smoke::lighting::{Lamp, Lighting, arriving_from, probe_position, MAX_LAMPS, PI, PROBES}
+#import bevy_smoke::lighting::{Lamp, Lighting, arriving_from, probe_position, probe_reach, MAX_LAMPS, PI, PROBES}
 #import bevy_smoke::footprint::{Footprints, pair_entry, pair_footprint}
 #import bevy_smoke::scattering::{Control, source_stride}
 
@@ -33,7 +33,8 @@ fn lamp_light(l: u32, rbf: Rbf, lamp: Lamp, j: u32, k: u32) -> vec3<f32> {
     var light = vec3(0.0);
     var inverse_squares = 0.0;
     for (var i = 0u; i < PROBES; i++) {
-        let point = probe_position(rbf.center, rbf.radius, i);
+        let reach = probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, rbf.radius);
+        let point = probe_position(rbf.center, reach, i);
         let seen = arriving_from(lamp, point, lighting.softening);
         let kept = exp(-lighting.sigma * columns[(l * PROBES + i) * MAX_LAMPS + j]);
         light += seen.irradiance * kept * basis(seen.direction)[k];

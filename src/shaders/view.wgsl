@@ -116,32 +116,40 @@ const NEAR_LIGHT_STEPS: u32 = 12u;
 
 // What the texture's softened light leaves out of a lamp's glow along the ray, where smoke about the nearest point is even:
 //     integral of p (1 / d^2 - 1 / (d^2 + softening)) dt,   d^2 = b^2 + t^2,   t = b tan(angle),
-// with t from the ray's nearest point, which is b from the lamp, in even steps of the angle. `footprint` is the width of a
-// pixel at distance 1: over it, 1 / b is averaged.
-fn near_light(glow: Glow, ray: Ray, leave: f32, footprint: f32) -> vec3<f32> {
+// with t from the ray's nearest point, which is b from the lamp, in even steps of the angle: p from the middle of each,
+// and the rest in closed form, angle / b - atan(t / wide) / wide with wide^2 = b^2 + softening.
+// `footprint` is how far apart the rays of neighbouring pixels are along a pixel's diagonal, where they start and how much
+// more a unit further: over a pixel, 1 / b is averaged.
+fn near_light(glow: Glow, ray: Ray, leave: f32, footprint: vec2<f32>) -> vec3<f32> {
     let offset = glow.position - ray.origin;
     let middle = dot(offset, ray.direction);
-    let blur = 0.2 * footprint * max(middle, 0.0);
+    let blur = 0.2 * (footprint.x + footprint.y * max(middle, 0.0));
     let b2 = max(dot(offset, offset) - middle * middle, 0.0) + max(blur * blur, 1e-12);
     let b = sqrt(b2);
-    let ends = atan((vec2(ray.enter, leave) - middle) / b);
+    let wide = sqrt(b2 + glow.softening);
+    let from_to = vec2(ray.enter, leave) - middle;
+    let ends = atan(from_to / b);
     let step = (ends.y - ends.x) / f32(NEAR_LIGHT_STEPS);
     var sum = 0.0;
-    for (var i = 0u; i < NEAR_LIGHT_STEPS; i++) {
-        let angle = ends.x + (f32(i) + 0.5) * step;
-        let t = b * tan(angle);
+    var before = atan(from_to.x / wide);
+    for (var i = 1u; i <= NEAR_LIGHT_STEPS; i++) {
+        let angle = ends.x + f32(i) * step;
+        // Near a right angle the tangent is all rounding: the end is known better.
+        let t = select(b * tan(angle), from_to.y, i == NEAR_LIGHT_STEPS);
+        let after = atan(t / wide);
         // The lamp is ahead while t < 0.
-        sum += phase(-sin(angle), smoke.g) * glow.softening / (b2 + t * t + glow.softening);
+        sum += phase(-sin(angle - 0.5 * step), smoke.g) * (step / b - (after - before) / wide);
+        before = after;
     }
     let point = ray.origin + ray.direction * clamp(middle, ray.enter, leave);
     let toward = (point - glow.position) / max(distance(point, glow.position), 1e-9);
     let spot = saturate(dot(glow.axis, toward) * glow.spot_scale + glow.spot_offset);
     let sigma = smoke.sigma * textureSampleLevel(volume, volume_sampler, texture_position(point), 0.0).a;
-    return glow.color * (sum * step / b * sigma * exp(-sigma * b) * spot * spot);
+    return glow.color * (sum * sigma * exp(-sigma * b) * spot * spot);
 }
 
 // Radiance in RGB, transmittance in alpha.
-fn march(ray: Ray, leave: f32, footprint: f32) -> vec4<f32> {
+fn march(ray: Ray, leave: f32, footprint: vec2<f32>) -> vec4<f32> {
     let length = leave - ray.enter;
     let steps = u32(ceil(length / (0.5 * smoke.cell)));
     let step = length / f32(steps);
@@ -174,6 +182,11 @@ fn march(ray: Ray, leave: f32, footprint: f32) -> vec4<f32> {
     return vec4(radiance, transmittance);
 }
 
+// Length of a pixel's diagonal, from its sides.
+fn diagonal(x: vec3<f32>, y: vec3<f32>) -> f32 {
+    return sqrt(dot(x, x) + dot(y, y));
+}
+
 struct Fragment {
     @location(0) color: vec4<f32>,
 #ifdef MULTISAMPLED
@@ -187,7 +200,10 @@ fn fragment(in: Vertex) -> Fragment {
     let uv = (at - view.viewport.xy) / view.viewport.zw;
     let ndc = vec2(2.0 * uv.x - 1.0, 1.0 - 2.0 * uv.y);
     let ray = ray_through(ndc);
-    let footprint = length(fwidth(ray.direction));
+    let footprint = vec2(
+        diagonal(dpdx(ray.origin), dpdy(ray.origin)),
+        diagonal(dpdx(ray.direction), dpdy(ray.direction)),
+    );
     if ray.leave <= ray.enter {
         discard;
     }

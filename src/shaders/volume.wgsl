@@ -5,7 +5,7 @@
 // The tail, a millionth at the centre, decays slowly: where no RBF reaches,
 // wisps take the source radiance of the nearest ones.
 #import bevy_smoke::frame::{Frame, Rbf, MAX_HALF, bin_index, cell_center}
-#import bevy_smoke::lighting::{Arriving, Lighting, Fit, arriving_from, phase, PI}
+#import bevy_smoke::lighting::{Arriving, Lighting, Fit, arriving_from, phase, probe_reach, PI}
 
 const TAIL: f32 = 1e-6;
 // The fits are followed no farther than this many radii.
@@ -80,7 +80,8 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
         let offset = x - rbf.center;
         let u2 = dot(offset, offset) / (rbf.radius * rbf.radius);
         let phi = rbf.weight * (exp(-u2) + TAIL / ((1.0 + u2) * (1.0 + u2)));
-        let delta = offset * min(1.0, REACH / sqrt(max(u2, 1e-12)));
+        let reach = REACH * probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, 1.0);
+        let delta = offset * min(1.0, reach / sqrt(max(u2, 1e-12)));
         let o = outgoing[l];
         let low = vec3(o.center.w, o.dx.w, o.dy.w);
         let high = vec3(o.dz.w, o.qx.w, o.qy.w);

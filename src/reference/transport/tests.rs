@@ -141,7 +141,7 @@ fn white_furnace() {
     for g in [-0.8, 0.0, 0.4, 0.8] {
         for sigma in [0.0, 0.1, 3.0, 30.0] {
             let medium = Medium { sigma, albedo: DVec3::ONE, g };
-            let found = multiple_scattering(&rbfs, &coarse, &lit_by(light), &[], &medium);
+            let found = multiple_scattering(&rbfs, &coarse, &lit_by(light), &Lamps::default(), &medium);
             let worst = found.iter().flatten().flat_map(|j| j.0.into_iter().zip(light.0));
             let worst = worst.map(|(a, b)| (a - b).abs().max_element()).fold(0.0, f64::max);
             println!("g {g}, σ {sigma}: off by {worst:.1e}");
@@ -191,7 +191,7 @@ fn grey_furnaces_lose_what_is_absorbed() {
     let rbfs = rbfs();
     let coarse = grid(&rbfs);
     let medium = Medium { sigma: 6.0, albedo: DVec3::new(0.99, 0.9, 0.5), g: 0.0 };
-    let found = multiple_scattering(&rbfs, &coarse, &lit_by(ShRgb::constant(DVec3::ONE)), &[], &medium);
+    let found = multiple_scattering(&rbfs, &coarse, &lit_by(ShRgb::constant(DVec3::ONE)), &Lamps::default(), &medium);
     for probe in found.iter().flatten() {
         let j = probe.evaluate(DVec3::Z);
         assert!(j.cmplt(medium.albedo).all() && j.x > j.y && j.y > j.z && j.z > 0.0, "{j}");
@@ -361,7 +361,7 @@ fn coincident_centres_are_one() {
     let coarse = grid(&whole);
     let solve = |rbfs: &[Rbf], sigma| {
         let medium = Medium { sigma, albedo: DVec3::splat(0.9), g: 0.5 };
-        multiple_scattering(rbfs, &coarse, &sky(), &[], &medium)
+        multiple_scattering(rbfs, &coarse, &sky(), &Lamps::default(), &medium)
     };
     let difference = |sigma| {
         let (whole, cut) = (solve(&whole, sigma), solve(&cut, sigma));
@@ -380,6 +380,6 @@ fn no_smoke_is_fine() {
     let shape = GridShape::new(UVec3::splat(4));
     let empty = Grid { shape, values: vec![0.0; shape.len()] };
     let medium = Medium { sigma: 4.0, albedo: DVec3::ONE, g: 0.3 };
-    assert!(multiple_scattering(&[], &empty, &sky(), &[], &medium).is_empty());
-    assert!(multiple_scattering(&[], &empty, &sky(), &[], &Medium { g: 0.0, ..medium }).is_empty());
+    assert!(multiple_scattering(&[], &empty, &sky(), &Lamps::default(), &medium).is_empty());
+    assert!(multiple_scattering(&[], &empty, &sky(), &Lamps::default(), &Medium { g: 0.0, ..medium }).is_empty());
 }

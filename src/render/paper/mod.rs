@@ -48,10 +48,10 @@ pub(super) fn paper(
     ComputePass::run_all(LABEL, &jobs, &cache, &stats.paper, &mut ctx);
 }
 
-/// The method knows no lamps: says so once, and leaves them out.
+/// The method knows no lamps: says so once, and leaves them out. A sun in the environment stays in its coefficients.
 pub(super) fn without_lamps(lighting: LightingUniform, volume: MainEntity) -> LightingUniform {
-    if lighting.lamp_count > 0 {
+    if lighting.lamp_count > u32::from(lighting.sun_irradiance != Vec3::ZERO) {
         warn_once!("smoke volume {volume:?} has SmokePaper: lamps do not light it (said once)");
     }
-    LightingUniform { lamp_count: 0, ..lighting }
+    LightingUniform { lamp_count: 0, sun_irradiance: Vec3::ZERO, ..lighting }
 }

@@ -22,8 +22,8 @@ fn solve(g: f32, solves: usize) -> ([Vec<f64>; 2], SolverReport) {
     let light: Vec<[ShRgb; reference::PROBES]> =
         rbfs(&frame).iter().map(|_| core::array::from_fn(|_| mean + random_light(&mut random) * 0.1)).collect();
     let smoke = SmokeMedium { albedo: LinearRgba::rgb(0.9, 0.6, 0.2), g, ..SmokeMedium::default() };
-    // Where the scaled density is 1, which stands for MAX_DENSITY.
-    let sigma = 24.0;
+    // Where the scaled density is 1, which stands for MAX_DENSITY; thin enough that the probes are a radius away.
+    let sigma = 16.0;
     let lighting = LightingUniform::of_medium(&smoke, sigma, false);
     let lighting = uniform(gpu.device(), gpu.queue(), "test", lighting);
     let diffusion = DiffusionUniform::new(shape, 1e-4);

@@ -18,6 +18,7 @@ mod scattering;
 mod view;
 mod volume;
 
+use bevy::color::LinearRgba;
 use bevy::math::{DVec3, UVec2, UVec3, Vec3};
 use bevy::render::RenderApp;
 use bevy::render::render_resource::{
@@ -30,12 +31,17 @@ use half::f16;
 
 use super::SmokePasses;
 use super::frame::{FILTERED_FORMAT, GpuSmokeFrame};
+use super::lighting::{LampUniform, LightingUniform, MAX_LAMPS};
 use super::pass::{ComputePass, Job};
 use crate::bundle::SmokeFrame;
 use crate::density::GridShape;
 use crate::headless::{Headless, read_buffer, read_texture};
+use crate::medium::SmokeMedium;
+use crate::optics::erfcx;
 use crate::rbf::{Rbf, RbfModel};
-use crate::reference::Grid;
+use crate::reference::incident_light::{Incident, column, probes};
+use crate::reference::lamp::{Cone, Lamp, Lamps};
+use crate::reference::{self, Grid, PROBES};
 use crate::residual::{HashedResidual, QuantizationLaw};
 use crate::sh::{Sh, ShRgb};
 
@@ -226,6 +232,122 @@ fn pad(coefficients: impl IntoIterator<Item = DVec3>) -> Vec<[f32; 4]> {
 /// The colours of padded coefficients.
 fn unpad(floats: &[f32]) -> impl Iterator<Item = f64> + '_ {
     floats.as_chunks::<4>().0.iter().flat_map(|c| c[..3].to_vec()).map(f64::from)
+}
+
+/// A medium as the passes see it.
+fn medium(albedo: [f32; 3], g: f32) -> SmokeMedium {
+    SmokeMedium { albedo: LinearRgba::rgb(albedo[0], albedo[1], albedo[2]), g, ..SmokeMedium::default() }
+}
+
+/// The same as the twins see it.
+fn twin_medium(medium: &SmokeMedium, sigma: f64) -> reference::Medium {
+    let albedo = medium.albedo;
+    let albedo = DVec3::new(albedo.red.into(), albedo.green.into(), albedo.blue.into());
+    reference::Medium { sigma, albedo, g: medium.g.into() }
+}
+
+/// Light at the probes with shares of up to `escape` that get through, in a direction that has some of it.
+fn random_incident(random: &mut Random, count: usize, escape: f64) -> Vec<[Incident; PROBES]> {
+    let mut probe = || {
+        let light = random_light(random);
+        let escape = (escape * random.vector()).as_vec3().as_dvec3();
+        // Grey transmittance with that mean, at most half as much again in any direction.
+        let mean = escape.element_sum() / 3.0;
+        let axis = (random.vector() - 0.5).normalize();
+        let passing = Sh::constant(mean) + Sh::zonal(axis, &[0.0, 0.4, 0.2, 0.1], mean);
+        Incident { light, escape, passing: Sh(passing.0.map(|c| f64::from(c as f32))) }
+    };
+    (0..count).map(|_| std::array::from_fn(|_| probe())).collect()
+}
+
+/// The probes' light and the shares that get through, as the incident-light pass leaves them.
+fn pack_incident(gpu: &Gpu, incident: &[[Incident; PROBES]]) -> [Buffer; 2] {
+    let probes = incident.iter().flatten();
+    let light = |probe: &Incident| -> Vec<[f32; 4]> {
+        let pairs = probe.light.0.into_iter().zip(probe.passing.0);
+        pairs.map(|(light, passing)| light.as_vec3().extend(passing as f32).to_array()).collect()
+    };
+    [gpu.buffer(&probes.clone().flat_map(light).collect::<Vec<_>>()), gpu.buffer(&pad(probes.map(|p| p.escape)))]
+}
+
+/// Lamps of every kind, more than fit four columns: a sun, a point in the smoke, a spot, one that ends within, and one
+/// outside.
+fn lamps() -> [LampUniform; 5] {
+    let everywhere = LampUniform { axis: Vec3::Z, spot_offset: 1.0, ..Default::default() };
+    let axis = Vec3::new(-0.5, -0.8, 0.2).normalize();
+    [
+        LampUniform {
+            position: Vec3::new(0.4, 0.8, -0.3).normalize(),
+            color: Vec3::new(2.0, 1.5, 1.0),
+            is_sun: 1,
+            ..everywhere
+        },
+        LampUniform { position: Vec3::new(0.06, -0.03, 0.04), color: Vec3::new(0.1, 0.2, 0.3), ..everywhere },
+        LampUniform {
+            position: Vec3::new(0.45, 0.6, -0.1),
+            color: Vec3::new(1.0, 0.8, 2.0),
+            inverse_range_squared: 0.3,
+            axis,
+            spot_scale: 4.0,
+            spot_offset: -3.0,
+            ..everywhere
+        },
+        LampUniform {
+            position: Vec3::new(-0.2, 0.25, 0.1),
+            color: Vec3::new(0.5, 0.1, 0.2),
+            inverse_range_squared: 9.0,
+            ..everywhere
+        },
+        LampUniform { position: Vec3::new(-0.9, 0.3, 0.7), color: Vec3::splat(0.7), ..everywhere },
+    ]
+}
+
+/// What is added to their squared distances.
+const SOFTENING: f32 = 8.6e-4;
+
+/// Lighting by them.
+fn lit_by_lamps(lighting: LightingUniform) -> LightingUniform {
+    let mut lit = LightingUniform { lamp_count: lamps().len() as u32, softening: SOFTENING, ..lighting };
+    lit.lamps[..lamps().len()].copy_from_slice(&lamps());
+    lit
+}
+
+/// The same lamps as the twins see them.
+fn twin_lamps() -> Lamps {
+    let lamp = |lamp: &LampUniform| {
+        let (position, color) = (lamp.position.as_dvec3(), lamp.color.as_dvec3());
+        if lamp.is_sun != 0 {
+            return Lamp::Sun { direction: position, irradiance: color };
+        }
+        let (scale, offset) = (lamp.spot_scale.into(), lamp.spot_offset.into());
+        let cone = Cone { axis: lamp.axis.as_dvec3(), scale, offset };
+        Lamp::Point { position, intensity: color, range: f64::from(lamp.inverse_range_squared).sqrt().recip(), cone }
+    };
+    Lamps { lamps: lamps().iter().map(lamp).collect(), softening: SOFTENING.into() }
+}
+
+/// The twin's columns to them, [`MAX_LAMPS`] a probe.
+fn twin_columns(rbfs: &[Rbf], coarse: &Grid) -> Vec<f32> {
+    let lamps = twin_lamps().lamps;
+    let to = |p: DVec3, lamp: &Lamp| column(&lamp.seen_from(p, 0.0).ray, coarse) as f32;
+    let at = |p: DVec3| -> [f32; MAX_LAMPS] { std::array::from_fn(|i| lamps.get(i).map_or(0.0, |lamp| to(p, lamp))) };
+    rbfs.iter().flat_map(|rbf| probes(rbf).map(at)).flatten().collect()
+}
+
+/// What goes with the rows of the twin's pair matrix, 16 values each: the weight in the balance of energy, w r^3 times
+/// the row's sum before it was scaled, and H_1 .. H_15.
+fn twin_rows(rbfs: &[Rbf], coarse: &Grid, sigma: f64, pairs: &[f64]) -> Vec<f64> {
+    let surroundings = reference::transport::surroundings(rbfs, pairs);
+    let row = |(l, h): (usize, &Sh<f64>)| {
+        let (radius, weight) = (f64::from(rbfs[l].radius), f64::from(rbfs[l].weight));
+        let density = coarse.sample(Vec3::from(rbfs[l].center).as_dvec3());
+        // The row's sum, from its diagonal's share in it.
+        let own = weight * radius * 0.5 * std::f64::consts::PI.sqrt() * erfcx(0.5 * sigma * density * radius);
+        let mut row = h.0;
+        row[0] = weight * radius.powi(3) * own / pairs[l * rbfs.len() + l] / f64::from(MAX_DENSITY).powi(2);
+        row
+    };
+    surroundings.iter().enumerate().flat_map(row).collect()
 }
 
 /// The twin's density of a frame.

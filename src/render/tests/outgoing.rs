@@ -1,49 +1,99 @@
 use bevy::math::Vec4;
 
 use super::*;
-use crate::reference::{self, outgoing::Viewer};
+use crate::reference::outgoing::{Outgoing, Viewer};
+use crate::reference::transport;
 use crate::render::frame::uniform;
-use crate::render::lighting::{LightingUniform, MAX_LAMPS};
-use crate::render::outgoing::{self, Bindings, LookUniform};
-use crate::sh::{COEFFICIENTS, Sh, ShRgb};
+use crate::render::outgoing::{self, Bindings, LookUniform, OUTGOING_BYTES, SHADE_BYTES};
+
+/// The seven coefficients of fits, with slopes per radius and curvatures per radius squared: all of one magnitude.
+fn scaled(rbfs: &[Rbf], coefficients: impl Iterator<Item = [DVec3; 7]>) -> Vec<f64> {
+    let scale = |(coefficients, rbf): ([DVec3; 7], &Rbf)| {
+        let r = f64::from(rbf.radius);
+        let factors = [1.0, r, r, r, r * r, r * r, r * r];
+        coefficients.into_iter().zip(factors).flat_map(|(c, factor)| rgb(c * factor)).collect::<Vec<_>>()
+    };
+    coefficients.zip(rbfs).flat_map(scale).collect()
+}
+
+fn of_twin(fit: &Outgoing) -> [DVec3; 7] {
+    let (g, q) = (fit.gradient, fit.curvature);
+    [fit.center, g.x_axis, g.y_axis, g.z_axis, q.x_axis, q.y_axis, q.z_axis]
+}
 
 fn check(what: &str, eye: Vec4, viewer: Viewer) {
     let (gpu, frame) = (Gpu::new(), fixture());
-    let uploaded = gpu.frame(&frame);
+    let (coarse, uploaded) = coarse_frame(&gpu, &frame);
+    let rbfs = rbfs(&frame);
     let mut random = Random(13);
-    let source: Vec<[ShRgb; reference::PROBES]> = rbfs(&frame)
-        .iter()
-        .map(|_| std::array::from_fn(|_| Sh(std::array::from_fn(|_| random.vector().as_vec3().as_dvec3()))))
-        .collect();
-    // Light that meets a medium which keeps it as it is: albedo 1 in every band, nothing scattered twice.
-    let lighting = LightingUniform { scatter: [Vec4::ONE; 4], ..Default::default() };
-    let lighting = uniform(gpu.device(), gpu.queue(), "test", lighting);
-    let padded = pad(source.iter().flatten().flat_map(|probe| probe.0));
-    assert_eq!(padded.len(), rbfs(&frame).len() * reference::PROBES * COEFFICIENTS);
-    let probes = gpu.buffer(&padded);
-    let output = gpu.buffer(&vec![[0.0_f32; 16]; rbfs(&frame).len()]);
-    let zeros = |floats: usize| gpu.buffer(&vec![0.0_f32; floats * rbfs(&frame).len()]);
-    let look = uniform(gpu.device(), gpu.queue(), "test", LookUniform { eye });
-    let pass = &gpu.passes().outgoing;
-    let bindings = Bindings {
-        frame: &uploaded,
-        lighting: &lighting,
-        look: &look,
-        probes: &probes,
-        gathered: &zeros(64),
-        columns: &zeros(4 * MAX_LAMPS),
-        outgoing: &output,
-        shades: &zeros(32),
-    };
-    let bind_group = outgoing::bind(pass, bindings, gpu.device(), gpu.cache());
-    gpu.run(pass, Job { bind_group, workgroups: outgoing::workgroups(&uploaded) });
+    let incident = random_incident(&mut random, rbfs.len(), 0.9);
+    let [probes, escapes] = pack_incident(&gpu, &incident);
+    let pairs = transport::pair_matrix(rbfs, &coarse, 5.0);
+    let rows: Vec<f32> = twin_rows(rbfs, &coarse, 5.0, &pairs).iter().map(|&v| v as f32).collect();
+    let columns: Vec<f32> = (0..rbfs.len() * PROBES * MAX_LAMPS).map(|_| random.next() as f32).collect();
+    // Light that scatters once, then also more often, evenly and forward.
+    for (medium, multiple, coefficients) in [
+        (medium([0.9, 0.6, 0.3], 0.7), false, 0),
+        (medium([0.9, 0.6, 0.3], 0.0), true, 1),
+        (medium([0.9, 0.6, 0.3], 0.7), true, 16),
+    ] {
+        let lighting = lit_by_lamps(LightingUniform::of_medium(&medium, 5.0, multiple));
+        assert_eq!(lighting.coefficients, coefficients);
+        let mut gathered: Vec<ShRgb> = rbfs.iter().map(|_| random_light(&mut random)).collect();
+        for light in &mut gathered {
+            light.0[coefficients as usize..].fill(DVec3::ZERO);
+        }
+        let kept = pad(gathered.iter().flat_map(|light| light.0[..coefficients as usize].to_vec()));
+        let kept = if kept.is_empty() { vec![[f32::NAN; 4]] } else { kept };
+        let fits = gpu.buffer(&vec![0_u8; rbfs.len() * OUTGOING_BYTES as usize]);
+        let shades = gpu.buffer(&vec![0_u8; rbfs.len() * SHADE_BYTES as usize]);
+        let pass = &gpu.passes().outgoing;
+        let bindings = Bindings {
+            frame: &uploaded,
+            lighting: &uniform(gpu.device(), gpu.queue(), "test", lighting),
+            look: &uniform(gpu.device(), gpu.queue(), "test", LookUniform { eye }),
+            probes: &probes,
+            escapes: &escapes,
+            gathered: &gpu.buffer(&kept),
+            rows: &gpu.buffer(&rows),
+            columns: &gpu.buffer(&columns),
+            outgoing: &fits,
+            shades: &shades,
+        };
+        let bind_group = outgoing::bind(pass, bindings, gpu.device(), gpu.cache());
+        gpu.run(pass, Job { bind_group, workgroups: outgoing::workgroups(&uploaded) });
 
-    let found = gpu.read_floats(&output);
-    let expected = reference::outgoing::outgoing(rbfs(&frame), &source, viewer);
-    // The gradient's columns are the derivatives along x, y and z.
-    let expected =
-        expected.iter().flat_map(|o| [o.center, o.gradient.x_axis, o.gradient.y_axis, o.gradient.z_axis]).flat_map(rgb);
-    assert_close(what, EXACT, unpad(&found), expected);
+        let what = format!("{what}, {coefficients} coefficients");
+        let medium = twin_medium(&medium, 5.0);
+        let surroundings = transport::surroundings(rbfs, &pairs);
+        let source = transport::source_radiance(&incident, &gathered, &surroundings, &medium);
+        let expected = reference::outgoing::outgoing(rbfs, &source, viewer);
+        let found = gpu.read_floats(&fits);
+        let found = found.as_chunks::<28>().0;
+        let of_pass = |fit: &[f32; 28]| -> [DVec3; 7] {
+            std::array::from_fn(|i| Vec3::from_slice(&fit[4 * i..4 * i + 3]).as_dvec3())
+        };
+        let [a, b] = [scaled(rbfs, found.iter().map(of_pass)), scaled(rbfs, expected.iter().map(of_twin))];
+        assert_close(&what, EXACT, a, b);
+        let bounds = found.iter().flat_map(|fit| (0..6).map(|i| f64::from(fit[4 * i + 3])));
+        let expected = expected.iter().flat_map(|fit| [fit.low, fit.high]).flat_map(rgb);
+        assert_close(&format!("{what}, bounds"), EXACT, bounds, expected);
+
+        // Four lamps to a fit.
+        let found = gpu.read_floats(&shades);
+        let found = found.as_chunks::<56>().0;
+        for lamp in 0..lamps().len() {
+            let of_pass = |fits: &[f32; 56]| -> [DVec3; 7] {
+                std::array::from_fn(|i| DVec3::splat(fits[28 * (lamp / 4) + 4 * i + lamp % 4].into()))
+            };
+            let of_twin = |(l, rbf): (usize, &Rbf)| {
+                let value = |i: usize| DVec3::splat(columns[(l * PROBES + i) * MAX_LAMPS + lamp].into());
+                of_twin(&Outgoing::through(std::array::from_fn(value), rbf.radius.into()))
+            };
+            let expected = scaled(rbfs, rbfs.iter().enumerate().map(of_twin));
+            assert_close(&format!("shade of lamp {lamp}"), EXACT, scaled(rbfs, found.iter().map(of_pass)), expected);
+        }
+    }
 }
 
 #[test]

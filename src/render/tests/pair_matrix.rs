@@ -2,16 +2,17 @@ use super::*;
 use crate::reference::transport;
 use crate::render::footprint::Footprints;
 use crate::render::frame::uniform;
-use crate::render::lighting::LightingUniform;
-use crate::render::pair_matrix::{self, Bindings};
+use crate::render::pair_matrix::{self, Bindings, ROW_BYTES};
 use crate::render::prepare::linear_sampler;
+use crate::sh::COEFFICIENTS;
 
-/// The matrix of the pass, and the coarse density it saw.
-fn run(gpu: &Gpu, frame: &SmokeFrame, sigma: f32) -> (Vec<f32>, Grid) {
+/// The matrix of the pass and what goes with its rows, and the coarse density it saw.
+fn run(gpu: &Gpu, frame: &SmokeFrame, sigma: f32) -> ([Vec<f32>; 2], Grid) {
     let (coarse, uploaded) = coarse_frame(gpu, frame);
-    let lighting = LightingUniform { sigma_mean: sigma, ..Default::default() };
+    let lighting = LightingUniform { sigma_mean: sigma, coefficients: 16, ..Default::default() };
     let count = rbfs(frame).len();
     let matrix = gpu.buffer(&vec![0.0_f32; count * count]);
+    let rows = gpu.buffer(&vec![0_u8; count * ROW_BYTES as usize]);
     let pass = &gpu.passes().pair_matrix;
     let bindings = Bindings {
         frame: &uploaded,
@@ -19,25 +20,33 @@ fn run(gpu: &Gpu, frame: &SmokeFrame, sigma: f32) -> (Vec<f32>, Grid) {
         footprints: &Footprints::buffer(gpu.device(), gpu.queue()),
         sampler: &linear_sampler(gpu.device()),
         matrix: &matrix,
+        rows: &rows,
     };
     let bind_group = pair_matrix::bind(pass, bindings, gpu.device(), gpu.cache());
     gpu.run(pass, Job { bind_group, workgroups: pair_matrix::workgroups(&uploaded) });
-    let matrix = gpu.read_floats(&matrix);
+    let [matrix, rows] = [matrix, rows].map(|buffer| gpu.read_floats(&buffer));
     for row in matrix.chunks(count) {
         // Energy: all that is seen is some RBF. 40 roundings.
         let sum: f32 = row.iter().sum();
         assert!((sum - 1.0).abs() < 1e-5 && row.iter().all(|k| *k >= 0.0), "{sigma}: {sum}");
     }
-    (matrix, coarse)
+    assert!(rows.iter().all(|value| value.is_finite()), "{sigma}");
+    ([matrix, rows], coarse)
 }
 
 #[test]
 fn pair_matrix_matches_its_twin() {
     let (gpu, frame) = (Gpu::new(), fixture());
     for sigma in [0.01, 5.0, 80.0] {
-        let (found, coarse) = run(&gpu, &frame, sigma);
+        let ([matrix, rows], coarse) = run(&gpu, &frame, sigma);
         let expected = transport::pair_matrix(rbfs(&frame), &coarse, sigma.into());
-        assert_close(&format!("pair matrix at extinction {sigma}"), HALF, widen(&found), expected);
+        assert_close(&format!("pair matrix at extinction {sigma}"), HALF, widen(&matrix), expected.iter().copied());
+        let expected = twin_rows(rbfs(&frame), &coarse, sigma.into(), &expected);
+        let weights = |rows: &[f64]| rows.iter().step_by(COEFFICIENTS).copied().collect::<Vec<_>>();
+        let views = |rows: &[f64]| rows.chunks(COEFFICIENTS).flat_map(|row| row[1..].to_vec()).collect::<Vec<_>>();
+        let found: Vec<f64> = widen(&rows).collect();
+        assert_close(&format!("weights at extinction {sigma}"), HALF, weights(&found), weights(&expected));
+        assert_close(&format!("surroundings at extinction {sigma}"), HALF, views(&found), views(&expected));
     }
 }
 

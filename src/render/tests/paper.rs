@@ -4,11 +4,11 @@ use bevy::math::{DMat3, DQuat, Mat3, Quat, Vec4};
 use super::*;
 use crate::medium::SmokeMedium;
 use crate::paper::PaperExponential;
+use crate::reference::Medium;
 use crate::reference::incident_light::Lighting;
 use crate::reference::outgoing::Viewer;
 use crate::reference::paper as twin;
 use crate::reference::taylor::Taylor;
-use crate::reference::{Medium, rbf_center};
 use crate::render::frame::{FILTERED_FORMAT, texture_3d, uniform};
 use crate::render::lighting::LightingUniform;
 use crate::render::outgoing::LookUniform;
@@ -142,7 +142,7 @@ fn solutions_are_carried_over_as_by_their_twin() {
     let (gpu, old) = (Gpu::new(), fixture());
     let mut random = Random(29);
     let moved = |rbf: &Rbf| {
-        let center = rbf_center(rbf) + 0.05 * (random.vector() - 0.5);
+        let center = Vec3::from(rbf.center).as_dvec3() + 0.05 * (random.vector() - 0.5);
         Rbf { center: center.as_vec3().to_array(), ..*rbf }
     };
     let new = SmokeFrame { rbfs: RbfModel { rbfs: rbfs(&old)[5..].iter().map(moved).collect() }, ..fixture() };

@@ -1,37 +1,20 @@
-//! `smoke study`: the numerical studies behind the method, run again.
+//! `smoke study sphere`: the diffusion equations as printed and as they should be, against random paths.
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde::Serialize;
 
-use super::output::print;
+use crate::cli::output::print;
 use crate::reference::sphere::{Equation, Sphere, compare, diffusion, monte_carlo};
 
-pub(super) const EXAMPLES: &str = "\
-sphere: a homogeneous sphere under constant light, solved by the diffusion equation as printed by Zhou et al. 2008 and as
-the moments of light transport give it, against random paths. The ratio is that of the light
-in the sphere to the true amount; the error is relative and root mean square, by volume.
-
-  smoke study sphere
-  smoke study sphere --paths 10000000 --json";
-
-/// Options of `smoke study`.
+/// Options of `smoke study sphere`.
 #[derive(Args, Debug)]
-pub struct StudyArgs {
-    /// What to study
-    #[arg(value_enum)]
-    what: Study,
+pub struct SphereArgs {
     /// Random paths for every line: noise falls with their square root
     #[arg(long, value_name = "N", default_value_t = 1_000_000, value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
     paths: u64,
     /// Print JSON
     #[arg(long)]
     json: bool,
-}
-
-#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-enum Study {
-    /// Diffusion in a homogeneous sphere
-    Sphere,
 }
 
 /// Shells in which light is counted.
@@ -51,11 +34,9 @@ struct Row {
     corrected_error: f64,
 }
 
-/// Runs `smoke study`.
-pub fn run(args: &StudyArgs) -> anyhow::Result<()> {
-    let rows: Vec<Row> = match args.what {
-        Study::Sphere => spheres().map(|sphere| row(&sphere, args.paths as usize)).collect(),
-    };
+/// Runs the study.
+pub fn run(args: &SphereArgs) -> anyhow::Result<()> {
+    let rows: Vec<Row> = spheres().map(|sphere| row(&sphere, args.paths as usize)).collect();
     if args.json {
         return print(&format!("{}\n", serde_json::to_string_pretty(&rows)?));
     }

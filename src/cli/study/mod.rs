@@ -1,0 +1,31 @@
+//! `smoke study`: the numerical studies behind the method, run again.
+
+mod sphere;
+mod stability;
+
+use clap::Subcommand;
+
+pub(super) const EXAMPLES: &str = "\
+  smoke study sphere
+  smoke study sphere --paths 10000000 --json
+  smoke study stability > docs/stability.md";
+
+/// What to study.
+#[derive(Subcommand, Debug)]
+pub enum Study {
+    /// Diffusion in a homogeneous sphere under constant light: the equation as printed by Zhou et al. 2008 and as the
+    /// moments of light transport give it, against random paths. The ratio is that of the light in the sphere to the
+    /// true amount; the error is relative and root mean square, by volume
+    Sphere(sphere::SphereArgs),
+    /// Smoke where methods fail: very thin and thick, dark and white, forward and backward, tiny and huge, empty, one
+    /// voxel, sharp and sudden light. Prints the table of docs/stability.md
+    Stability(stability::StabilityArgs),
+}
+
+/// Runs `smoke study`.
+pub fn run(study: &Study) -> anyhow::Result<()> {
+    match study {
+        Study::Sphere(args) => sphere::run(args),
+        Study::Stability(args) => stability::run(args),
+    }
+}
