@@ -66,6 +66,12 @@ fn ratio(a: vec3<f32>, b: vec3<f32>) -> vec3<f32> {
     return select(vec3(0.0), a / max(b, vec3(1e-37)), b > vec3(1e-37));
 }
 
+// The largest residual of the channels, relative to the right-hand side.
+fn relative(power: vec3<f32>, reference: vec3<f32>) -> f32 {
+    let left = ratio(power, reference);
+    return sqrt(max(left.x, max(left.y, left.z)));
+}
+
 fn kappa_of(extinction: f32) -> vec3<f32> {
     return 1.0 / (3.0 * (1.0 - lighting.scatter[1].rgb) * (extinction + 1.0 / FREE_PATH));
 }
@@ -241,6 +247,10 @@ fn turn(
         if thread == 0u {
             after[group.x] = before[group.x];
         }
+        if id.x == 0u {
+            control.done = 1u;
+            control.error = relative(power, reference);
+        }
         return;
     }
     let next = add_up(select(vec3(0.0), after[thread].rgb, has_share), thread);
@@ -253,8 +263,7 @@ fn turn(
     if id.x == 0u {
         control.steps += 1u;
         control.done = u32(is_small(next, reference));
-        let left = ratio(next, reference);
-        control.error = sqrt(max(left.x, max(left.y, left.z)));
+        control.error = relative(next, reference);
     }
 }
 

@@ -22,11 +22,11 @@ fn solve(g: f32, solves: usize) -> ([Vec<f64>; 2], SolverReport) {
     let light: Vec<[ShRgb; reference::PROBES]> =
         rbfs(&frame).iter().map(|_| core::array::from_fn(|_| mean + random_light(&mut random) * 0.1)).collect();
     let smoke = SmokeMedium { albedo: LinearRgba::rgb(0.9, 0.6, 0.2), g, ..SmokeMedium::default() };
-    // Where the scaled density is 1, which stands for MAX_DENSITY; thin enough that the probes are a radius away.
+    // Thin enough that the probes are a radius away.
     let sigma = 16.0;
     let lighting = LightingUniform::of_medium(&smoke, sigma, false);
     let lighting = uniform(gpu.device(), gpu.queue(), "test", lighting);
-    let diffusion = DiffusionUniform::new(shape, 1e-4);
+    let diffusion = DiffusionUniform::new(shape, 1e-3);
     let diffusion = uniform(gpu.device(), gpu.queue(), "test", diffusion);
     let padded = pad(light.iter().flatten().flat_map(|probe| probe.0));
     let columns = vec![0_u8; rbfs(&frame).len() * COLUMN_BYTES as usize];
@@ -56,7 +56,7 @@ fn solve(g: f32, solves: usize) -> ([Vec<f64>; 2], SolverReport) {
     let added = unpad(&found).zip(before).map(|(after, before)| after - before).collect();
 
     let albedo = DVec3::new(0.9, 0.6, 0.2);
-    let medium = Medium { sigma: f64::from(sigma / MAX_DENSITY), albedo: albedo.as_vec3().as_dvec3(), g: g.into() };
+    let medium = Medium { sigma: sigma.into(), albedo: albedo.as_vec3().as_dvec3(), g: g.into() };
     let factors = henyey_greenstein_factors(medium.g);
     let scatter = |light: ShRgb| Sh(light.convolve(&factors).0.map(|c| c * medium.albedo));
     let single: Vec<_> = light.iter().map(|probes| probes.map(scatter)).collect();
@@ -79,9 +79,10 @@ fn solve(g: f32, solves: usize) -> ([Vec<f64>; 2], SolverReport) {
 
 #[test]
 fn diffusion_matches_its_twin() {
-    let ([found, expected], report) = solve(0.4, 2);
+    // A cloud with holes takes more steps than one solve has: the next goes on.
+    let ([found, expected], report) = solve(0.4, 6);
     println!("{report:?}");
-    // The coarse density is f16 as any filtered texture; the solution itself is converged to 2e-5.
+    // The coarse density is f16 as any filtered texture; the residual of the solution is 2e-4.
     assert_close("diffusion", 2.0 * HALF, found, expected);
     assert!(report.converged, "{report:?}");
 }
@@ -89,7 +90,7 @@ fn diffusion_matches_its_twin() {
 #[test]
 fn a_solution_is_a_start() {
     let (_, cold) = solve(0.4, 1);
-    let (_, warm) = solve(0.4, 3);
+    let (_, warm) = solve(0.4, 7);
     println!("{cold:?} {warm:?}");
-    assert!(cold.sweeps > 5 && warm.converged && warm.sweeps == 0, "{cold:?} {warm:?}");
+    assert!(cold.sweeps == 20 && warm.converged && warm.sweeps == 0, "{cold:?} {warm:?}");
 }
