@@ -51,6 +51,8 @@ pub mod headless;
 pub mod lighting;
 pub mod medium;
 pub mod optics;
+#[cfg(feature = "reference")]
+pub mod paper;
 mod random;
 pub mod rbf;
 #[cfg(feature = "reference")]
@@ -83,6 +85,8 @@ pub struct SmokePlugin;
 
 impl Plugin for SmokePlugin {
     fn build(&self, app: &mut App) {
+        #[cfg(feature = "reference")]
+        app.register_type::<paper::SmokePaper>();
         app.init_asset::<bundle::SmokeAnimation>()
             .init_asset_loader::<bundle::SmokeAnimationLoader>()
             .register_type::<volume::SmokeVolume>()

@@ -10,6 +10,7 @@ pub mod output;
 pub mod path;
 pub mod render;
 pub mod scene;
+pub mod solve;
 pub mod study;
 
 use std::ffi::OsString;

@@ -19,6 +19,7 @@ use super::exr_io::{ExrImage, encode_rgba};
 use super::output::OutputFile;
 use super::path::{self, PathArgs};
 use super::scene::{Environment, Scene, SceneLight};
+use super::solve::{PaperStats, SolveArgs};
 use crate::bundle::{self, SmokeAnimation};
 use crate::headless::{Headless, HeadlessError};
 use crate::lighting::magnitude;
@@ -56,13 +57,15 @@ pub struct RenderArgs {
     /// Picture size, in place of the scene's
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     size: Option<[u32; 2]>,
-    /// Rays a pixel. rbf: a square number from 1 to 256, 16 unless given; the picture is drawn that much larger and
+    /// Rays a pixel. rbf, paper: a square number from 1 to 256, 16 unless given; the picture is drawn that much larger and
     /// averaged, as a path tracer averages over a pixel's area. path: paths in all, 2 or more, 256 unless given; the
     /// noise falls with their square root
     #[arg(long, value_name = "N")]
     spp: Option<u32>,
     #[command(flatten)]
     pub(super) path: PathArgs,
+    #[command(flatten)]
+    solve: SolveArgs,
     /// Writes what was done and what it cost, as JSON
     #[arg(long)]
     stats: Option<PathBuf>,
@@ -75,7 +78,7 @@ pub(super) enum Method {
     Auto,
     /// RBFs with probes: the product's best on bundles
     Rbf,
-    /// Zhou et al. 2008 as printed (not available yet)
+    /// Zhou et al. 2008 as printed, lit by the environment alone: a baseline
     Paper,
     /// Navarro et al. 2008 (not available yet)
     Constellation,
@@ -124,6 +127,8 @@ struct Stats {
     scattering: Choice<Scattering>,
     /// What the solver of multiple scattering did last; null without one.
     solver: Option<SolverStats>,
+    /// What --method paper did; null with another.
+    paper: Option<PaperStats>,
     size: [u32; 2],
     spp: u32,
     cells: [u32; 3],
@@ -232,7 +237,11 @@ fn draw(job: Job) -> anyhow::Result<()> {
     let rbfs = animation.frames[args.frame as usize].rbfs.rbfs.len();
     let cells = animation.shape.dims.to_array();
     let mut headless = Headless::new(drawn.into(), TextureFormat::Rgba16Float)?;
+    let paper = args.solve.paper(method.used);
     let (volume, unit) = spawn_scene(&mut headless, &scene, animation, &args)?;
+    if let Some(paper) = paper {
+        headless.app.world_mut().entity_mut(volume).insert(paper);
+    }
 
     // The first frame is the one in which the smoke appears.
     let mut counts = vec![[0; SmokeRenderStats::PASSES.len()]];
@@ -273,11 +282,13 @@ fn draw(job: Job) -> anyhow::Result<()> {
             method,
             scattering: chosen_scattering(args.scattering, choice),
             solver,
+            paper: paper.map(|paper| PaperStats::of(&paper, choice.is_some_and(|choice| choice.multiple))),
             size,
             spp,
             cells,
             rbfs,
-            probes: PROBES as usize * rbfs,
+            // The paper looks from the centres alone.
+            probes: if paper.is_some() { rbfs } else { PROBES as usize * rbfs },
             frames: args.frames,
             steady_frame_ms: median(frame_ms),
             passes: pass_stats(&counts, world.resource()),
@@ -312,12 +323,13 @@ fn average(fine: &[[f32; 4]], [width, height]: [u32; 2], rays: u32, unit: f32) -
 fn choose_method(args: &RenderArgs) -> anyhow::Result<Choice<Method>> {
     let method = match args.method {
         Method::Auto => Choice { asked: Method::Auto, used: Method::Rbf, why: "the input is a bundle".into() },
-        asked @ (Method::Rbf | Method::Path) => Choice { asked, used: asked, why: "asked for".into() },
+        asked @ (Method::Rbf | Method::Paper | Method::Path) => Choice { asked, used: asked, why: "asked for".into() },
         other => {
             let name = other.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default();
-            bail!("--method {name} is not available yet: use rbf or path")
+            bail!("--method {name} is not available yet: use rbf, paper or path")
         }
     };
+    args.solve.check(method.used)?;
     let traced = method.used == Method::Path;
     ensure!(traced || !args.path.is_given(), "--halves and --seed are for --method path");
     ensure!(!traced || args.frames == 1, "--frames: method path draws a scene once");

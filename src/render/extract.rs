@@ -10,9 +10,12 @@ use bevy::render::Extract;
 use bevy::render::sync_world::MainEntity;
 
 use super::lamp::Lamp;
+use super::view::Emission;
 use crate::bundle::SmokeAnimation;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
+#[cfg(feature = "reference")]
+use crate::paper::SmokePaper;
 use crate::scattering::SmokeScattering;
 use crate::sun::EnvironmentSuns;
 use crate::volume::SmokeVolume;
@@ -34,7 +37,20 @@ pub(super) struct ExtractedVolume {
     pub medium: SmokeMedium,
     pub environment: SmokeEnvironment,
     pub scattering: SmokeScattering,
+    #[cfg(feature = "reference")]
+    pub paper: Option<SmokePaper>,
     pub layers: RenderLayers,
+}
+
+impl ExtractedVolume {
+    /// What the view pass is to make of its 3D texture.
+    pub fn emission(&self) -> Emission {
+        #[cfg(feature = "reference")]
+        if self.paper.is_some() {
+            return Emission::Printed;
+        }
+        Emission::Exact
+    }
 }
 
 /// The light from all around that a camera sees.
@@ -72,6 +88,7 @@ pub(super) fn extract_smoke(
             Option<&RenderLayers>,
         )>,
     >,
+    #[cfg(feature = "reference")] papers: Extract<Query<&SmokePaper>>,
     cameras: Extract<Query<(Entity, Option<&EnvironmentMapLight>, Option<&AmbientLight>), With<Camera3d>>>,
     ambient: Extract<Option<Res<GlobalAmbientLight>>>,
     suns: Extract<LampQuery<DirectionalLight>>,
@@ -93,6 +110,8 @@ pub(super) fn extract_smoke(
             medium: clamped,
             environment: environment.clone(),
             scattering: *scattering,
+            #[cfg(feature = "reference")]
+            paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),
         };
         smoke.volumes.insert(entity.into(), extracted);

@@ -17,12 +17,16 @@ use super::incident_light::{COLUMN_BYTES, ESCAPE_BYTES, PROBE_BYTES};
 use super::lighting::LightingUniform;
 use super::outgoing::{LookUniform, OUTGOING_BYTES, SHADE_BYTES};
 use super::pair_matrix::ROW_BYTES;
+#[cfg(feature = "reference")]
+use super::paper::{PaperLight, PaperSlice};
 use super::pass::Job;
 use super::prepare::Gpu;
 use super::scattering::{self, CONTROL_BYTES, SOURCE_BYTES, STATE_BYTES, SWEEPS, ScatteringJob, StepUniform};
 use super::view::SmokeUniform;
 use super::{SmokeWork, incident_light, outgoing, pair_matrix, volume};
 use crate::density::GridShape;
+#[cfg(feature = "reference")]
+use crate::paper::SmokePaper;
 use crate::scattering::ScatteringChoice;
 
 /// A volume lit by an environment and lamps.
@@ -36,6 +40,9 @@ pub(super) struct LitVolume {
     light: LightBuffers,
     incident_light: BindGroup,
     transport: Option<Transport>,
+    /// Lit by this alone, in the place of the others.
+    #[cfg(feature = "reference")]
+    paper: Option<PaperLight>,
     /// Counts the changes.
     version: u32,
     pub last_used: u32,
@@ -69,6 +76,8 @@ pub(super) struct SlicedVolume {
     pub texture: TextureView,
     outgoing: BindGroup,
     volume: BindGroup,
+    #[cfg(feature = "reference")]
+    paper: Option<PaperSlice>,
     pub last_used: u32,
     pub seen: HashMap<RetainedViewEntity, SeenVolume>,
 }
@@ -81,20 +90,20 @@ pub(super) struct SeenVolume {
 }
 
 /// A uniform buffer that knows what is in it.
-struct Cached<T: ShaderType + WriteInto + Clone + PartialEq> {
+pub(super) struct Cached<T: ShaderType + WriteInto + Clone + PartialEq> {
     value: T,
     buffer: UniformBuffer<T>,
 }
 
 impl<T: ShaderType + WriteInto + Clone + PartialEq> Cached<T> {
-    fn new(value: T, gpu: &Gpu) -> Self {
+    pub fn new(value: T, gpu: &Gpu) -> Self {
         let mut buffer = UniformBuffer::from(value.clone());
         buffer.write_buffer(gpu.device, gpu.queue);
         Self { value, buffer }
     }
 
     /// Stores a value; whether it is another than before.
-    fn set(&mut self, value: T, gpu: &Gpu) -> bool {
+    pub fn set(&mut self, value: T, gpu: &Gpu) -> bool {
         if self.value == value {
             return false;
         }
@@ -104,7 +113,7 @@ impl<T: ShaderType + WriteInto + Clone + PartialEq> Cached<T> {
         true
     }
 
-    fn buffer(&self) -> &Buffer {
+    pub fn buffer(&self) -> &Buffer {
         self.buffer.buffer().expect("written when it was made")
     }
 }
@@ -117,6 +126,8 @@ pub(super) struct FrameLight<'a> {
     pub uniform: LightingUniform,
     pub choice: ScatteringChoice,
     pub tolerance: f32,
+    #[cfg(feature = "reference")]
+    pub paper: Option<SmokePaper>,
 }
 
 impl LitVolume {
@@ -139,7 +150,14 @@ impl LitVolume {
             escapes: &buffers.escapes,
             columns: &buffers.columns,
         };
+        #[cfg(feature = "reference")]
+        let paper = light.paper.map(|settings| {
+            let from_bundle = light.uniform.environment_from_bundle;
+            PaperLight::new(settings, frame, uniform.buffer(), from_bundle, light.coefficients, gpu)
+        });
         Self {
+            #[cfg(feature = "reference")]
+            paper,
             incident_light: incident_light::bind(&gpu.passes.incident_light, bindings, gpu.device, gpu.cache),
             frame: frame.uniform.id(),
             choice: light.choice,
@@ -157,15 +175,38 @@ impl LitVolume {
 
     /// Whether this is of another frame, or of coefficients that have been let go since.
     pub fn is_of(&self, frame: &GpuSmokeFrame, light: &FrameLight) -> bool {
-        self.frame == frame.uniform.id() && self.environment == light.coefficients.id()
+        let same = self.frame == frame.uniform.id() && self.environment == light.coefficients.id();
+        #[cfg(feature = "reference")]
+        let same = same && self.paper.is_some() == light.paper.is_some();
+        same
+    }
+
+    /// Starts solving where the frame before has ended.
+    #[cfg(feature = "reference")]
+    pub fn follow(&self, before: &Self, frame: &GpuSmokeFrame, gpu: &Gpu, work: &mut SmokeWork) {
+        if let (Some(paper), Some(before)) = (&self.paper, &before.paper) {
+            paper.follow(before, frame, gpu, work);
+        }
     }
 
     pub fn update(&mut self, frame: &GpuSmokeFrame, light: FrameLight, now: u32, gpu: &Gpu, work: &mut SmokeWork) {
         self.last_used = now;
         self.choice = light.choice;
         let (sigma, coefficients) = (light.uniform.sigma_mean, light.uniform.coefficients);
+        #[cfg(feature = "reference")]
+        let environment_from_bundle = light.uniform.environment_from_bundle;
         let mut changed =
             self.uniform.set(light.uniform, gpu) | (self.environment_version != light.environment_version);
+        #[cfg(feature = "reference")]
+        if let (Some(paper), Some(settings)) = (&mut self.paper, light.paper) {
+            changed |= paper.set(settings, light.choice.multiple, environment_from_bundle, gpu);
+            if changed {
+                self.environment_version = light.environment_version;
+                self.version += 1;
+                paper.light(work);
+            }
+            return;
+        }
         if coefficients == 0 {
             self.transport = None;
         } else {
@@ -215,6 +256,11 @@ impl LitVolume {
         let changed = sliced.look.set(LookUniform { eye }, gpu) | (sliced.lit_version != version);
         if changed {
             sliced.lit_version = version;
+            #[cfg(feature = "reference")]
+            if let Some(paper) = &sliced.paper {
+                paper.look(frame, shape, work);
+                return sliced;
+            }
             let bind_group = sliced.outgoing.clone();
             work.outgoing.push(Job { bind_group, workgroups: outgoing::workgroups(frame) });
             let bind_group = sliced.volume.clone();
@@ -301,6 +347,8 @@ impl SlicedVolume {
             volume: &texture,
         };
         Self {
+            #[cfg(feature = "reference")]
+            paper: lit.paper.as_ref().map(|light| PaperSlice::new(frame, look.buffer(), light, &texture, gpu)),
             outgoing: outgoing::bind(&gpu.passes.outgoing, leave, gpu.device, gpu.cache),
             volume: volume::bind(&gpu.passes.volume, reconstruct, gpu.device, gpu.cache),
             look,
@@ -327,7 +375,8 @@ impl SlicedVolume {
     }
 }
 
-fn storage_buffer(device: &RenderDevice, label: &str, size: u64) -> Buffer {
+/// A buffer of zeros that passes write and tools can read back.
+pub(super) fn storage_buffer(device: &RenderDevice, label: &str, size: u64) -> Buffer {
     let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
     device.create_buffer(&BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
 }

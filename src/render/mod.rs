@@ -32,6 +32,8 @@ mod lighting;
 mod lit;
 mod outgoing;
 mod pair_matrix;
+#[cfg(feature = "reference")]
+mod paper;
 mod pass;
 mod prepare;
 mod scattering;
@@ -135,6 +137,16 @@ impl Plugin for SmokeRenderPlugin {
                     .in_set(Core3dSystems::MainPass)
                     .in_set(SmokeSystems::Draw),
             );
+        #[cfg(feature = "reference")]
+        render_app.add_systems(
+            RenderGraph,
+            paper::paper
+                .after(volume::volume)
+                .in_set(RenderGraphSystems::Render)
+                .in_set(SmokeSystems::Light)
+                .before(camera_driver)
+                .run_if(resource_exists::<SmokePasses>),
+        );
     }
 }
 
@@ -149,13 +161,18 @@ pub(crate) struct SmokePasses {
     scattering: ScatteringPass,
     outgoing: ComputePass,
     volume: ComputePass,
+    #[cfg(feature = "reference")]
+    paper: paper::PaperPasses,
 }
 
 impl SmokePasses {
     fn all(&self) -> impl Iterator<Item = &ComputePass> {
         let others =
             [&self.density, &self.coarse, &self.pair_matrix, &self.incident_light, &self.outgoing, &self.volume];
-        self.environment.passes().into_iter().chain(self.scattering.passes()).chain(others)
+        let all = self.environment.passes().into_iter().chain(self.scattering.passes()).chain(others);
+        #[cfg(feature = "reference")]
+        let all = all.chain(self.paper.all());
+        all
     }
 
     /// Whether every pipeline is there.
@@ -185,6 +202,8 @@ fn init_passes(
         scattering: ScatteringPass::new(&shaders, &cache),
         outgoing: outgoing::pass(&shaders.outgoing, &cache),
         volume: volume::pass(&shaders.volume, &cache),
+        #[cfg(feature = "reference")]
+        paper: paper::PaperPasses::new(&shaders.paper, &cache),
     });
     commands.insert_resource(view::ViewPass::new(&shaders.view));
 }
@@ -224,6 +243,8 @@ pub(crate) struct SmokeWork {
     scattering: Vec<ScatteringJob>,
     outgoing: Vec<Job>,
     volume: Vec<Job>,
+    #[cfg(feature = "reference")]
+    paper: Vec<(paper::Step, Job)>,
 }
 
 impl SmokeWork {

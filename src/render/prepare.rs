@@ -27,7 +27,9 @@ use super::lamp::lamps_of;
 use super::light::{Environments, Light, LightKey, Lit};
 use super::lighting::{LampUniform, LightingUniform, MAX_LAMPS};
 use super::lit::{FrameLight, LitVolume};
-use super::view::{Glow, SmokeUniform, ViewPass, ViewSmoke, ViewSmokeVolume};
+#[cfg(feature = "reference")]
+use super::paper;
+use super::view::{Emission, Glow, SmokeUniform, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokePasses, SmokeRenderStats, SmokeWork, coarse, density};
 use crate::density::GridShape;
 use crate::scattering::{ScatteringChoice, ScatteringEvents};
@@ -52,6 +54,8 @@ const SOFTENING_CELLS: f32 = 1.5;
 struct Shared {
     sampler: Sampler,
     footprints: Buffer,
+    #[cfg(feature = "reference")]
+    paper_tables: Buffer,
 }
 
 #[cfg(all(test, feature = "cli"))]
@@ -82,6 +86,8 @@ pub(super) struct Gpu<'a> {
     pub view_pass: &'a ViewPass,
     pub sampler: &'a Sampler,
     pub footprints: &'a Buffer,
+    #[cfg(feature = "reference")]
+    pub paper_tables: &'a Buffer,
 }
 
 /// Lists this frame's work, and every view's volumes from far to near.
@@ -104,9 +110,11 @@ pub(super) fn prepare_smoke(
     let SmokeCache { frame: now, environments, volumes, shared } = &mut *smoke_cache;
     *now = now.wrapping_add(1);
     environments.begin(*now, changed_images.added.iter().chain(&changed_images.modified));
-    let Shared { sampler, footprints } = shared.get_or_insert_with(|| Shared {
+    let shared = shared.get_or_insert_with(|| Shared {
         sampler: linear_sampler(&device),
         footprints: Footprints::buffer(&device, &queue),
+        #[cfg(feature = "reference")]
+        paper_tables: paper::Tables::buffer(&device, &queue),
     });
     let gpu = Gpu {
         device: &device,
@@ -114,8 +122,10 @@ pub(super) fn prepare_smoke(
         cache: &pipelines,
         passes: &passes,
         view_pass: &view_pass,
-        sampler,
-        footprints,
+        sampler: &shared.sampler,
+        footprints: &shared.footprints,
+        #[cfg(feature = "reference")]
+        paper_tables: &shared.paper_tables,
     };
 
     for (view_entity, view, camera, visible) in &views {
@@ -149,7 +159,12 @@ pub(super) fn prepare_smoke(
             let before = volumes.get(&key).map(|volume| volume.choice.multiple);
             let choice = placed.choose_scattering(volume, frame, before, &device);
             stats.set_scattering(volume_entity, choice);
-            let (uniform, unit) = placed.lighting(volume, &lit, &smoke, choice.multiple);
+            let emission = volume.emission();
+            // Light that scatters into a forward peak goes on for the solver of transport alone.
+            let transport = choice.multiple && emission == Emission::Exact;
+            let (uniform, unit) = placed.lighting(volume, &lit, &smoke, transport);
+            #[cfg(feature = "reference")]
+            let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
             warn_of_limits(volume_entity, &uniform, frame.typical_depth);
             let glows = Glow::all(&uniform, placed.shape.half_extent());
             let light = FrameLight {
@@ -158,12 +173,17 @@ pub(super) fn prepare_smoke(
                 uniform,
                 choice,
                 tolerance: volume.scattering.clamped_tolerance(),
+                #[cfg(feature = "reference")]
+                paper: volume.paper,
             };
             let lit_volume = volumes
                 .entry(key)
                 .and_modify(|v| {
                     if !v.is_of(frame, &light) {
-                        *v = LitVolume::new(frame, &light, &gpu);
+                        let next = LitVolume::new(frame, &light, &gpu);
+                        #[cfg(feature = "reference")]
+                        next.follow(v, frame, &gpu, &mut work);
+                        *v = next;
                     }
                 })
                 .or_insert_with(|| LitVolume::new(frame, &light, &gpu));
@@ -178,7 +198,7 @@ pub(super) fn prepare_smoke(
             let uniform = placed.smoke_uniform(view, eye, volume, unit * camera.exposure, glows);
             if let Some(uniform) = uniform {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
-                drawn.push(ViewSmokeVolume { distance: placed.distance(view), bind_group });
+                drawn.push(ViewSmokeVolume { distance: placed.distance(view), emission, bind_group });
             }
         }
         // Far to near; equal distances keep the order of their entities.
@@ -296,7 +316,10 @@ impl Placed {
         let mut events = volume.scattering.events;
         let limits = device.limits();
         let largest = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        if events != ScatteringEvents::Single && 4 * u64::from(frame.rbf_count).pow(2) > largest {
+        let pairs = 4 * u64::from(frame.rbf_count).pow(2);
+        #[cfg(feature = "reference")]
+        let pairs = if volume.paper.is_some() { paper::PaperLight::matrix_bytes(frame.rbf_count) } else { pairs };
+        if events != ScatteringEvents::Single && pairs > largest {
             warn_once!(
                 "a frame of smoke has {} RBFs, whose pairs do not fit this adapter's buffers of {largest} bytes: its \
                  light scatters only once; bake it with fewer (said once)",

@@ -9,6 +9,8 @@ use bevy::render::sync_world::MainEntity;
 use super::pass::DispatchCounter;
 use crate::scattering::ScatteringChoice;
 
+const PASS_COUNT: usize = 9 + cfg!(feature = "reference") as usize;
+
 /// How many dispatches (and draws) each pass has made since the app started, in both worlds: the renderer counts, the
 /// main world reads. The scattering pass counts its solves, each of which is many dispatches. GPU times are in Bevy's `DiagnosticsStore` under `render/<pass>/elapsed_gpu`, where the adapter has
 /// timestamps and `RenderDiagnosticsPlugin` is added.
@@ -22,13 +24,15 @@ pub struct SmokeRenderStats {
     pub(crate) scattering: DispatchCounter,
     pub(crate) outgoing: DispatchCounter,
     pub(crate) volume: DispatchCounter,
+    #[cfg(feature = "reference")]
+    pub(crate) paper: DispatchCounter,
     pub(crate) view: DispatchCounter,
     scattering_choices: Arc<Mutex<EntityHashMap<ScatteringChoice>>>,
 }
 
 impl SmokeRenderStats {
     /// The passes in the order they run, by the name of their GPU span.
-    pub const PASSES: [&'static str; 9] = [
+    pub const PASSES: [&'static str; PASS_COUNT] = [
         super::environment::LABEL,
         super::density::LABEL,
         super::coarse::LABEL,
@@ -37,6 +41,8 @@ impl SmokeRenderStats {
         super::scattering::LABEL,
         super::outgoing::LABEL,
         super::volume::LABEL,
+        #[cfg(feature = "reference")]
+        super::paper::LABEL,
         super::view::LABEL,
     ];
 
@@ -59,7 +65,7 @@ impl SmokeRenderStats {
     }
 
     /// Dispatches so far, in the order of [`PASSES`](Self::PASSES).
-    pub fn dispatches(&self) -> [u32; 9] {
+    pub fn dispatches(&self) -> [u32; PASS_COUNT] {
         [
             &self.environment,
             &self.density,
@@ -69,6 +75,8 @@ impl SmokeRenderStats {
             &self.scattering,
             &self.outgoing,
             &self.volume,
+            #[cfg(feature = "reference")]
+            &self.paper,
             &self.view,
         ]
         .map(DispatchCounter::get)

@@ -89,7 +89,19 @@ pub(super) struct ViewSmoke(pub Vec<ViewSmokeVolume>);
 /// A volume that a view draws.
 pub(super) struct ViewSmokeVolume {
     pub distance: f32,
+    pub emission: Emission,
     pub bind_group: BindGroup,
+}
+
+/// What a step of the march emits, and what the 3D texture holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Emission {
+    /// J (1 − exp(−σ D Δ)); J.
+    #[default]
+    Exact,
+    /// J D σ Δ, as printed by Zhou et al. 2008; J D.
+    #[cfg(feature = "reference")]
+    Printed,
 }
 
 /// The pass's layouts and shader.
@@ -132,6 +144,7 @@ pub struct ViewPassKey {
     samples: u32,
     /// The tone mapping to apply in the shader: that of a view whose target holds display colours.
     tonemapping: Option<Tonemapping>,
+    emission: Emission,
 }
 
 impl ViewPassKey {
@@ -155,6 +168,10 @@ impl ViewPassKey {
         let mut defs = Vec::new();
         if self.samples > 1 {
             defs.push("MULTISAMPLED".into());
+        }
+        #[cfg(feature = "reference")]
+        if self.emission == Emission::Printed {
+            defs.push("PRINTED_EMISSION".into());
         }
         if let Some(tonemapping) = self.tonemapping {
             defs.push("TONEMAP_IN_SHADER".into());
@@ -209,10 +226,13 @@ impl SpecializedRenderPipeline for ViewPass {
     }
 }
 
-/// A view's pipeline.
+/// A view's pipelines.
 #[derive(Component)]
 pub(super) struct ViewSmokePipeline {
     id: CachedRenderPipelineId,
+    /// For the volumes that emit as printed, if there are any.
+    #[cfg(feature = "reference")]
+    printed: Option<CachedRenderPipelineId>,
     layout: BindGroupLayoutDescriptor,
     key: ViewPassKey,
 }
@@ -232,9 +252,18 @@ pub(super) fn prepare_view_pipelines(
             continue;
         }
         let tonemapping = tonemapping.copied().filter(|_| !camera.hdr);
-        let key = ViewPassKey { target_format: view.target_format, samples: msaa.samples(), tonemapping };
-        let id = pipelines.specialize(&cache, &pass, key);
-        commands.entity(entity).insert(ViewSmokePipeline { id, layout: key.view_layout(), key });
+        let emission = Emission::Exact;
+        let key = ViewPassKey { target_format: view.target_format, samples: msaa.samples(), tonemapping, emission };
+        commands.entity(entity).insert(ViewSmokePipeline {
+            id: pipelines.specialize(&cache, &pass, key),
+            #[cfg(feature = "reference")]
+            printed: smoke.volumes.values().any(|volume| volume.paper.is_some()).then(|| {
+                let key = ViewPassKey { emission: Emission::Printed, ..key };
+                pipelines.specialize(&cache, &pass, key)
+            }),
+            layout: key.view_layout(),
+            key,
+        });
     }
 }
 
@@ -273,11 +302,18 @@ pub(super) fn view(
     mut ctx: RenderContext,
 ) {
     let (target, depth, offset, camera, smoke, pipeline) = view.into_inner();
-    let (Some(render_pipeline), Some(view_uniforms)) =
-        (cache.get_render_pipeline(pipeline.id), view_uniforms.uniforms.binding())
-    else {
+    let Some(view_uniforms) = view_uniforms.uniforms.binding() else {
         return;
     };
+    let render_pipeline = |emission: Emission| match emission {
+        Emission::Exact => cache.get_render_pipeline(pipeline.id),
+        #[cfg(feature = "reference")]
+        Emission::Printed => cache.get_render_pipeline(pipeline.printed?),
+    };
+    // Pipelines compile while the app runs.
+    if smoke.0.iter().any(|volume| render_pipeline(volume.emission).is_none()) {
+        return;
+    }
     let mut resources = vec![view_uniforms, BindingResource::TextureView(depth.view())];
     if let Some(tonemapping) = &pipeline.key.tonemapping {
         let (lut, sampler) = get_lut_bindings(&tables.images, &tables.luts, tonemapping, &tables.fallback);
@@ -302,9 +338,11 @@ pub(super) fn view(
     if let Some(viewport) = &camera.viewport {
         pass.set_camera_viewport(viewport);
     }
-    pass.set_render_pipeline(render_pipeline);
     pass.set_bind_group(0, &view_bind_group, &[offset.offset]);
     for volume in &smoke.0 {
+        if let Some(render_pipeline) = render_pipeline(volume.emission) {
+            pass.set_render_pipeline(render_pipeline);
+        }
         pass.set_bind_group(1, &volume.bind_group, &[]);
         pass.draw(0..4, 0..pipeline.key.samples);
         stats.view.add(1);

@@ -88,6 +88,11 @@ impl OptimalLinear {
         TABLES[order - 1].get_or_init(|| Self::new(order))
     }
 
+    /// ln a and ln b at every norm of the table.
+    pub fn logarithms(&self) -> &[[f64; 2]] {
+        &self.table
+    }
+
     /// a and b of a norm; beyond the table they go on exponentially.
     pub fn coefficients(&self, norm: f64) -> [f64; 2] {
         let position = norm / NORM_STEP;

@@ -22,6 +22,17 @@ pub(crate) fn embed(app: &mut App) {
     embedded_asset!(app, "outgoing.wgsl");
     embedded_asset!(app, "volume.wgsl");
     embedded_asset!(app, "view.wgsl");
+    #[cfg(feature = "reference")]
+    {
+        load_shader_library!(app, "paper.wgsl");
+        embedded_asset!(app, "paper_single.wgsl");
+        embedded_asset!(app, "paper_system.wgsl");
+        embedded_asset!(app, "paper_carry.wgsl");
+        embedded_asset!(app, "paper_solve.wgsl");
+        embedded_asset!(app, "paper_media.wgsl");
+        embedded_asset!(app, "paper_outgoing.wgsl");
+        embedded_asset!(app, "paper_volume.wgsl");
+    }
 }
 
 /// Handles of the passes' shaders.
@@ -37,6 +48,20 @@ pub(crate) struct Shaders {
     pub outgoing: Handle<Shader>,
     pub volume: Handle<Shader>,
     pub view: Handle<Shader>,
+    #[cfg(feature = "reference")]
+    pub paper: PaperShaders,
+}
+
+/// Handles of the shaders of Zhou et al. 2008.
+#[cfg(feature = "reference")]
+pub(crate) struct PaperShaders {
+    pub single: Handle<Shader>,
+    pub system: Handle<Shader>,
+    pub carry: Handle<Shader>,
+    pub solve: Handle<Shader>,
+    pub media: Handle<Shader>,
+    pub outgoing: Handle<Shader>,
+    pub volume: Handle<Shader>,
 }
 
 impl Shaders {
@@ -53,6 +78,16 @@ impl Shaders {
             outgoing: load_embedded_asset!(assets, "outgoing.wgsl"),
             volume: load_embedded_asset!(assets, "volume.wgsl"),
             view: load_embedded_asset!(assets, "view.wgsl"),
+            #[cfg(feature = "reference")]
+            paper: PaperShaders {
+                single: load_embedded_asset!(assets, "paper_single.wgsl"),
+                system: load_embedded_asset!(assets, "paper_system.wgsl"),
+                carry: load_embedded_asset!(assets, "paper_carry.wgsl"),
+                solve: load_embedded_asset!(assets, "paper_solve.wgsl"),
+                media: load_embedded_asset!(assets, "paper_media.wgsl"),
+                outgoing: load_embedded_asset!(assets, "paper_outgoing.wgsl"),
+                volume: load_embedded_asset!(assets, "paper_volume.wgsl"),
+            },
         }
     }
 }
@@ -82,6 +117,7 @@ mod tests {
             ("footprint.wgsl", include_str!("footprint.wgsl")),
             ("frame.wgsl", include_str!("frame.wgsl")),
             ("lighting.wgsl", include_str!("lighting.wgsl")),
+            ("paper.wgsl", include_str!("paper.wgsl")),
             ("scattering.wgsl", include_str!("scattering.wgsl")),
             ("sh.wgsl", include_str!("sh.wgsl")),
             ("bevy view", BEVY_VIEW),
@@ -127,6 +163,13 @@ mod tests {
         validate("extrapolate.wgsl", include_str!("extrapolate.wgsl"), &[]);
         validate("outgoing.wgsl", include_str!("outgoing.wgsl"), &[]);
         validate("volume.wgsl", include_str!("volume.wgsl"), &[]);
+        validate("paper_single.wgsl", include_str!("paper_single.wgsl"), &[]);
+        validate("paper_system.wgsl", include_str!("paper_system.wgsl"), &[]);
+        validate("paper_carry.wgsl", include_str!("paper_carry.wgsl"), &[]);
+        validate("paper_solve.wgsl", include_str!("paper_solve.wgsl"), &[]);
+        validate("paper_media.wgsl", include_str!("paper_media.wgsl"), &[]);
+        validate("paper_outgoing.wgsl", include_str!("paper_outgoing.wgsl"), &[]);
+        validate("paper_volume.wgsl", include_str!("paper_volume.wgsl"), &[]);
     }
 
     #[test]
@@ -134,6 +177,7 @@ mod tests {
         let source = include_str!("view.wgsl");
         for defs in [&[][..], &["MULTISAMPLED"], &["TONEMAP_IN_SHADER"], &["MULTISAMPLED", "TONEMAP_IN_SHADER"]] {
             validate("view.wgsl", source, defs);
+            validate("view.wgsl", source, &[defs, &["PRINTED_EMISSION"]].concat());
         }
     }
 }

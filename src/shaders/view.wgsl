@@ -1,5 +1,6 @@
 // Marches every pixel's ray through one volume and composites it over what is drawn so far.
-// At each step, half a voxel long, smoke of extinction sigma D emits J (1 - exp(-sigma D step)).
+// At each step, half a voxel long, smoke of extinction sigma D emits J (1 - exp(-sigma D step)); where PRINTED_EMISSION is
+// defined, sigma step times what the texture holds, J D (Zhou et al. 2008).
 //
 // With MSAA the rectangle is drawn once per sample: where all samples of a pixel see the same depth the first instance
 // shades them all and the others return at once; at the edges of meshes each sample is marched to its own depth.
@@ -165,7 +166,12 @@ fn march(ray: Ray, leave: f32, footprint: vec2<f32>) -> vec4<f32> {
         }
         if s.a > 0.0 {
             let kept = exp(-smoke.sigma * s.a * step);
+#ifdef PRINTED_EMISSION
+            // Density is in the radiance.
+            radiance += s.rgb * (transmittance * smoke.sigma * step);
+#else
             radiance += s.rgb * (transmittance * (1.0 - kept));
+#endif
             transmittance *= kept;
             // What lies behind is not seen any more.
             if transmittance < 1e-5 {

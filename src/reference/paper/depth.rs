@@ -44,6 +44,11 @@ impl Default for DepthTable {
 }
 
 impl DepthTable {
+    /// The factors at every angle.
+    pub fn entries(&self) -> &[[f64; BANDS]] {
+        &self.factors
+    }
+
     /// The factors at a distance of `d` radii, linear in β between entries.
     pub fn factors(&self, d: f64) -> [f64; BANDS] {
         let position = beta(d) / PI * (ANGLES - 1) as f64;
