@@ -208,6 +208,6 @@ fn a_lamp_in_the_smoke_glows_where_it_is() {
     // 3.2 metres to 64 pixels.
     let expected = (32.0 * Vec2::new(1.0 + place.x / 1.6, 1.0 - place.y / 1.6)).as_uvec2();
     assert_eq!(UVec2::new(brightest as u32 % SIZE.x, brightest as u32 / SIZE.x), expected);
-    // As bright as the light that scatters once where smoke is even would be, 1 / b averaged over the pixel, to a factor.
+    // It falls as 1 / b from there: a pixel aside, b is 3.5 times what it is on average over the lamp's.
     assert!(pixels[brightest][0] > 2.0 * pixels[brightest - 1][0]);
 }
