@@ -7,5 +7,7 @@ mod cameras;
 mod compositing;
 mod environments;
 mod examples;
+mod lamps;
+mod scattering;
 mod scene;
 mod work;

@@ -82,9 +82,25 @@ pub fn draw(app: &mut Headless) -> Vec<[f32; 4]> {
     pixels
 }
 
-/// Every pass's dispatches so far.
-pub fn dispatches(app: &Headless) -> [u32; SmokeRenderStats::PASSES.len()] {
-    app.app.world().resource::<SmokeRenderStats>().dispatches()
+/// Dispatches so far of the passes of the product: environment, density, coarse, pair matrix, incident light, scattering,
+/// outgoing, volume, view.
+pub fn dispatches(app: &Headless) -> [u32; 9] {
+    let all = app.app.world().resource::<SmokeRenderStats>().dispatches();
+    let passes = [
+        "environment",
+        "density",
+        "coarse",
+        "pair_matrix",
+        "incident_light",
+        "scattering",
+        "outgoing",
+        "volume",
+        "view",
+    ];
+    passes.map(|pass| {
+        let name = format!("smoke_{pass}");
+        all[SmokeRenderStats::PASSES.iter().position(|other| *other == name).expect("it is one of the passes")]
+    })
 }
 
 /// Root mean square of the difference of two pictures.
