@@ -32,8 +32,7 @@ pub struct SmokeRenderStats {
 }
 
 impl SmokeRenderStats {
-    /// The passes by the name of their GPU span: in the order they run by default, those that are chosen instead, and the
-    /// view pass.
+    /// The passes in the order they run, by the name of their GPU span.
     pub const PASSES: [&'static str; PASS_COUNT] = [
         super::environment::LABEL,
         super::density::LABEL,
@@ -41,9 +40,9 @@ impl SmokeRenderStats {
         super::pair_matrix::LABEL,
         super::incident_light::LABEL,
         super::scattering::LABEL,
+        super::diffusion::LABEL,
         super::outgoing::LABEL,
         super::volume::LABEL,
-        super::diffusion::LABEL,
         #[cfg(feature = "reference")]
         super::paper::LABEL,
         super::view::LABEL,
@@ -76,9 +75,9 @@ impl SmokeRenderStats {
             &self.pair_matrix,
             &self.incident_light,
             &self.scattering,
+            &self.diffusion,
             &self.outgoing,
             &self.volume,
-            &self.diffusion,
             #[cfg(feature = "reference")]
             &self.paper,
             &self.view,

@@ -7,7 +7,6 @@ use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
 use bevy_smoke::headless::Headless;
 use bevy_smoke::prelude::*;
-use bevy_smoke::render::SmokeRenderStats;
 
 use crate::scene::*;
 
@@ -110,15 +109,13 @@ fn two_cameras_share_the_light() {
         assert!(rms(&seen, alone) < 1e-3, "half {order}: {}", rms(&seen, alone));
     }
     let [lighting @ .., view] = dispatches(&app);
-    assert_eq!(lighting[..8], [0, 1, 1, 1, 1, 1, 1, 1]);
+    assert_eq!(lighting, [0, 1, 1, 1, 1, 1, 1, 1]);
     assert!(view >= 2);
 }
 
 /// `Visibility`, `RenderLayers` and the frustum hide smoke as they hide meshes, and hidden smoke costs nothing.
 #[test]
 fn hidden_smoke_is_not_drawn() {
-    const NONE: [u32; SmokeRenderStats::PASSES.len()] = [0; SmokeRenderStats::PASSES.len()];
-    let drawn = |dispatches: [u32; NONE.len()]| dispatches.last().is_some_and(|view| *view > 0);
     let draws = |change: &dyn Fn(&mut EntityWorldMut)| {
         let mut app = app();
         let volume = smoke(&mut app);
@@ -129,28 +126,28 @@ fn hidden_smoke_is_not_drawn() {
         for _ in 0..10 {
             app.app.update();
         }
-        assert_eq!(coverage(&app.float_pixels()) > 0.0, drawn(dispatches(&app)));
+        assert_eq!(coverage(&app.float_pixels()) > 0.0, dispatches(&app)[8] > 0);
         dispatches(&app)
     };
-    assert!(drawn(draws(&|_| {})));
+    assert!(draws(&|_| {})[8] > 0);
     assert_eq!(
         draws(&|volume| {
             volume.insert(Visibility::Hidden);
         }),
-        NONE
+        [0; 9]
     );
     assert_eq!(
         draws(&|volume| {
             volume.insert(RenderLayers::layer(3));
         }),
-        NONE
+        [0; 9]
     );
     // To the side of the frustum: culled, not only off the screen.
     let aside = draws(&|volume| {
         volume.insert(Transform::from_xyz(40.0, 0.0, 0.0));
     });
     // Bounds are known one frame after the asset: until then the volume counts as seen, and is lit once.
-    assert!(aside == NONE || (aside[..8] == [0, 1, 1, 1, 1, 1, 1, 1] && !drawn(aside)), "{aside:?}");
+    assert!(aside == [0; 9] || aside == [0, 1, 1, 1, 1, 1, 1, 1, 0], "{aside:?}");
     let behind = draws(&|volume| {
         volume.insert(Transform::from_xyz(0.0, 0.0, 40.0));
     });
