@@ -287,7 +287,6 @@ mod tests {
             ("blob.npy -o out.exr --method rbf", "bake it first"),
             ("blob.smoke -o out.exr --method rbf --spp 5", "a square number"),
             ("blob.smoke -o out.exr --halves", "are for --method path"),
-            ("blob.smoke -o out.exr --method paper", "not available yet: use rbf or path"),
         ] {
             let message = format!("{:#}", render(dir.path(), line).unwrap_err());
             assert!(message.contains(expected), "{line}: {message}");

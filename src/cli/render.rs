@@ -8,7 +8,7 @@ use bevy::asset::RenderAssetUsages;
 use bevy::camera::{Exposure, Hdr, ShadowLodOrigin};
 use bevy::core_pipeline::tonemapping::{DebandDither, Tonemapping};
 use bevy::diagnostic::{DEFAULT_MAX_HISTORY_LENGTH, Diagnostic, DiagnosticPath, DiagnosticsStore};
-use bevy::math::DVec3;
+use bevy::math::{DMat3, DVec3};
 use bevy::prelude::*;
 use bevy::render::render_resource::{Extent3d, TextureDimension, TextureFormat};
 use bevy::render::renderer::RenderAdapterInfo;
@@ -26,6 +26,7 @@ use crate::lighting::magnitude;
 use crate::prelude::*;
 use crate::render::{PROBES, SmokeRenderStats};
 use crate::scattering::ScatteringChoice;
+use crate::sh::Sh;
 
 /// Arguments of `smoke render`.
 #[derive(Args, Debug)]
@@ -48,6 +49,10 @@ pub struct RenderArgs {
     /// How often the scene is drawn: more than once to see in --stats what the first frame costs and what the rest do
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     frames: u32,
+    /// Turns the light from all around by so many degrees about the vertical in every frame after the first, to see in
+    /// --stats what a frame costs in which only the light turned
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    turn_light: f64,
     /// How source radiance is computed
     #[arg(long, value_enum, default_value_t = Method::Auto)]
     method: Method,
@@ -255,6 +260,9 @@ fn draw(job: Job) -> anyhow::Result<()> {
     counts.push(headless.app.world().resource::<SmokeRenderStats>().dispatches());
     let mut frame_ms = Vec::new();
     for _ in 1..args.frames {
+        if args.turn_light != 0.0 {
+            turn_light(headless.app.world_mut(), volume, args.turn_light.to_radians());
+        }
         let start = Instant::now();
         headless.app.update();
         headless.wait();
@@ -335,6 +343,7 @@ fn choose_method(args: &RenderArgs) -> anyhow::Result<Choice<Method>> {
     let traced = method.used == Method::Path;
     ensure!(traced || !args.path.is_given(), "--halves and --seed are for --method path");
     ensure!(!traced || args.frames == 1, "--frames: method path draws a scene once");
+    ensure!(args.turn_light.is_finite(), "--turn-light {}: not a number of degrees", args.turn_light);
     Ok(method)
 }
 
@@ -431,6 +440,19 @@ fn spawn_scene(
         Transform::from_translation(camera.eye.as_vec3()).looking_at(camera.target.as_vec3(), Vec3::Y),
     ));
     Ok((volume, unit))
+}
+
+/// Turns the environment of a volume about the vertical.
+fn turn_light(world: &mut World, volume: Entity, angle: f64) {
+    let Some(mut environment) = world.get_mut::<SmokeEnvironment>(volume) else { return };
+    match &mut *environment {
+        SmokeEnvironment::Coefficients { coefficients, .. } => {
+            let turned = Sh(coefficients.map(|c| c.as_dvec3())).rotate(DMat3::from_rotation_y(angle));
+            *coefficients = turned.0.map(|c| c.as_vec3());
+        }
+        SmokeEnvironment::Equirect { rotation, .. } => *rotation = Quat::from_rotation_y(angle as f32) * *rotation,
+        SmokeEnvironment::Camera => {}
+    }
 }
 
 /// Spawns a light as Bevy's own, in units of `unit`.

@@ -16,7 +16,11 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use super::{
-    Grid, Medium, PROBES, cell_size, center, incident_light::probes, outgoing::Outgoing, taylor::Taylor, trilinear,
+    Grid, Medium, PROBES, cell_size, center,
+    incident_light::{probes, reach},
+    outgoing::Outgoing,
+    taylor::Taylor,
+    trilinear,
     volume::blend,
 };
 use crate::{
@@ -309,7 +313,7 @@ impl Field {
     pub fn scatter(&self, rbfs: &[Rbf], medium: &Medium) -> Vec<[ShRgb; PROBES]> {
         let factors = henyey_greenstein_factors(medium.g);
         let scatter = |p: DVec3| Sh(Taylor::sh(self.sample(p)).convolve(&factors).0.map(|c| c * medium.albedo));
-        rbfs.iter().map(|rbf| probes(rbf).map(scatter)).collect()
+        rbfs.iter().map(|rbf| probes(rbf, reach(rbf, medium.sigma)).map(scatter)).collect()
     }
 }
 
@@ -497,7 +501,8 @@ mod tests {
             Rbf { center: [0.1, 0.05, 0.0], radius: 0.08, weight: 0.7 },
         ];
         let at = |x: DVec3| Taylor { mean: 2.0 + x.x, first: DVec3::new(x.y, 0.1, -0.5 * x.z) };
-        let light: Vec<[ShRgb; PROBES]> = rbfs.iter().map(|rbf| probes(rbf).map(|p| Taylor::sh([at(p); 3]))).collect();
+        let light: Vec<[ShRgb; PROBES]> =
+            rbfs.iter().map(|rbf| probes(rbf, rbf.radius.into()).map(|p| Taylor::sh([at(p); 3]))).collect();
         let shape = GridShape::new(UVec3::new(32, 16, 16));
         let found = cell_source(&rbfs, &light, shape);
         for (i, rgb) in found.iter().enumerate() {

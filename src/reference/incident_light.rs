@@ -5,7 +5,7 @@ use core::f64::consts::PI;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::{DIRECTIONS, Grid, MARCH_STEPS, PROBE_OFFSETS, PROBES, RHO, Ray, cell_size, half_extent, rbf_center};
+use super::{DIRECTIONS, Grid, MARCH_STEPS, PROBE_OFFSETS, PROBES, Ray, cell_size, half_extent, rbf_center};
 use crate::{
     optics::transmittance,
     rbf::Rbf,
@@ -34,12 +34,23 @@ pub struct Incident {
 
 /// L_d, τ̄ and T at the probes of every RBF; `sigma` is extinction per channel.
 pub fn incident_light(rbfs: &[Rbf], coarse: &Grid, lighting: &Lighting, sigma: DVec3) -> Vec<[Incident; PROBES]> {
-    rbfs.par_iter().map(|rbf| probes(rbf).map(|p| incident(p, coarse, lighting, sigma, DIRECTIONS))).collect()
+    let at = |rbf: &Rbf| probes(rbf, reach(rbf, sigma.element_sum() / 3.0));
+    rbfs.par_iter().map(|rbf| at(rbf).map(|p| incident(p, coarse, lighting, sigma, DIRECTIONS))).collect()
 }
 
 /// Where the probes of an RBF are.
-pub fn probes(rbf: &Rbf) -> [DVec3; PROBES] {
-    PROBE_OFFSETS.map(|offset| rbf_center(rbf) + offset * (RHO * f64::from(rbf.radius)))
+pub fn probes(rbf: &Rbf, reach: f64) -> [DVec3; PROBES] {
+    PROBE_OFFSETS.map(|offset| rbf_center(rbf) + offset * reach)
+}
+
+/// Distance of an RBF's outer probes from its centre: a radius, but farther where the RBF is so thick that light ends
+/// before, for the grey extinction `sigma`.
+///
+/// r √(ln(3 σ w r)) is about where what is left of the Gaussian outside, √π/2 · w r e^{−u²} in its tail, has an optical
+/// depth of a third: there is light still, and it is there that smoke is seen. No farther than r √6.
+pub fn reach(rbf: &Rbf, sigma: f64) -> f64 {
+    let (radius, weight) = (f64::from(rbf.radius), f64::from(rbf.weight));
+    radius * (3.0 * sigma * weight * radius).max(1e-30).ln().clamp(1.0, 6.0).sqrt()
 }
 
 /// L_d, τ̄ and T at `p`, from `directions` fixed directions; `sigma` is extinction per channel.
@@ -152,7 +163,9 @@ mod tests {
         let rbf = Rbf { center: [0.0, 0.05, 0.0], radius: 0.14, weight: 2.0 };
         let grid = coarse(&density(&[rbf], |_| 0.0, GridShape::new(UVec3::splat(64))));
         let center = rbf_center(&rbf);
-        for p in probes(&rbf).into_iter().chain([DVec3::new(-0.3, 0.2, 0.1), DVec3::new(0.45, 0.4, -0.4)]) {
+        for p in
+            probes(&rbf, rbf.radius.into()).into_iter().chain([DVec3::new(-0.3, 0.2, 0.1), DVec3::new(0.45, 0.4, -0.4)])
+        {
             for dir in fibonacci(DIRECTIONS) {
                 // The coarse grid blurs: in coarse cells, averaging pairs adds 1/16 to the variance per axis and
                 // trilinear interpolation 1/6, to r²/2 = 10.04. The two axes across the ray lose 0.229/10.04 = 2.3 % of

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::{
     Grid, Medium, PROBES, Ray, cell_size,
-    incident_light::{Incident, column, probes},
+    incident_light::{Incident, column, probes, reach},
     outgoing::{Outgoing, Viewer},
     rbf_center,
     volume::{Volume, blend_cells, padded_center},
@@ -117,11 +117,13 @@ impl Lamp {
     }
 }
 
-/// Columns of the coarse density toward a lamp, around every RBF; all three channels are the same.
-pub fn columns(rbfs: &[Rbf], coarse: &Grid, lamp: &Lamp) -> Vec<Outgoing> {
+/// Columns of the coarse density toward a lamp, around every RBF; all three channels are the same. `sigma` is the grey
+/// extinction that says where the probes are.
+pub fn columns(rbfs: &[Rbf], coarse: &Grid, lamp: &Lamp, sigma: f64) -> Vec<Outgoing> {
     let fit = |rbf: &Rbf| {
-        let columns = probes(rbf).map(|p| DVec3::splat(column(&lamp.seen_from(p, 0.0).ray, coarse)));
-        Outgoing::through(columns, rbf.radius.into())
+        let reach = reach(rbf, sigma);
+        let columns = probes(rbf, reach).map(|p| DVec3::splat(column(&lamp.seen_from(p, 0.0).ray, coarse)));
+        Outgoing::through(columns, reach)
     };
     rbfs.par_iter().map(fit).collect()
 }
@@ -201,9 +203,9 @@ pub fn with_lamps(
     sigma: DVec3,
 ) -> Vec<[Incident; PROBES]> {
     let rbf = |(incident, rbf): (&[Incident; PROBES], &Rbf)| {
-        let (mut incident, points) = (*incident, probes(rbf));
+        let (mut incident, points) = (*incident, probes(rbf, reach(rbf, sigma.element_sum() / 3.0)));
         for lamp in &lamps.lamps {
-            let scale = mean_scale(rbf, lamp, lamps.softening);
+            let scale = mean_scale(rbf, &points, lamp, lamps.softening);
             for (incident, point) in incident.iter_mut().zip(points) {
                 let Sight { ray, irradiance } = lamp.seen_from(point, lamps.softening);
                 let passing = (sigma * column(&ray, coarse)).map(transmittance);
@@ -216,10 +218,10 @@ pub fn with_lamps(
 }
 
 /// The mean of 1/d² over a Gaussian, over that of 1/(d² + softening) at its probes; 1 for a sun.
-fn mean_scale(rbf: &Rbf, lamp: &Lamp, softening: f64) -> f64 {
+fn mean_scale(rbf: &Rbf, probes: &[DVec3; PROBES], lamp: &Lamp, softening: f64) -> f64 {
     let Lamp::Point { position, .. } = *lamp else { return 1.0 };
     let at_probes: f64 =
-        probes(rbf).map(|p| 1.0 / (p.distance_squared(position) + softening)).iter().sum::<f64>() / PROBES as f64;
+        probes.map(|p| 1.0 / (p.distance_squared(position) + softening)).iter().sum::<f64>() / PROBES as f64;
     mean_inverse_square(position.distance(rbf_center(rbf)), rbf.radius.into()) / at_probes
 }
 

@@ -30,8 +30,6 @@ use glam::{DVec3, IVec3, UVec3, Vec3};
 
 use crate::{density::GridShape, rbf::Rbf};
 
-/// Distance of the outer probes from the centre of their RBF, in radii.
-pub const RHO: f64 = 1.0;
 /// Directions in which a probe looks for light.
 pub const DIRECTIONS: usize = 64;
 /// Samples of the coarse density along each of them.
@@ -39,7 +37,8 @@ pub const MARCH_STEPS: usize = 20;
 
 /// Probes of an RBF.
 pub const PROBES: usize = 7;
-/// From the centre of an RBF to its probes, in units of [`RHO`] radii: the centre itself, and both ways along each axis.
+/// From the centre of an RBF to its probes, in units of their [reach](incident_light::reach): the centre itself, and both
+/// ways along each axis.
 pub const PROBE_OFFSETS: [DVec3; PROBES] =
     [DVec3::ZERO, DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z];
 

@@ -2,7 +2,10 @@
 
 use glam::{DMat3, DVec3};
 
-use super::{PROBES, RHO, incident_light::probes};
+use super::{
+    PROBES,
+    incident_light::{probes, reach},
+};
 use crate::{rbf::Rbf, sh::ShRgb};
 
 /// How the camera looks at the volume, in bundle space.
@@ -30,8 +33,8 @@ impl Viewer {
     }
 }
 
-/// How far from the centre of its RBF a fit is followed, in radii.
-const REACH: f64 = 1.5;
+/// How far from the centre of its RBF a fit is followed, in units of the probes' distance.
+const BEYOND: f64 = 1.5;
 
 /// Source radiance towards the eye around an RBF's centre: quadratic, without mixed terms.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,49 +49,53 @@ pub struct Outgoing {
     pub low: DVec3,
     /// Upper bound.
     pub high: DVec3,
+    /// Distance of the outer probes from the centre.
+    pub reach: f64,
 }
 
 impl Outgoing {
     /// The function through the values at the probes of an RBF, without bounds: along each axis the parabola through
-    /// three of them.
-    pub fn through(values: [DVec3; PROBES], radius: f64) -> Self {
+    /// three of them, the outer ones `reach` from the centre.
+    pub fn through(values: [DVec3; PROBES], reach: f64) -> Self {
         let [center, outer @ ..] = values;
-        let distance = RHO * radius;
-        let slope = |axis: usize| (outer[2 * axis] - outer[2 * axis + 1]) / (2.0 * distance);
-        let bend = |axis: usize| (outer[2 * axis] + outer[2 * axis + 1] - 2.0 * center) / (2.0 * distance * distance);
+        let slope = |axis: usize| (outer[2 * axis] - outer[2 * axis + 1]) / (2.0 * reach);
+        let bend = |axis: usize| (outer[2 * axis] + outer[2 * axis + 1] - 2.0 * center) / (2.0 * reach * reach);
         Self {
             center,
             gradient: DMat3::from_cols(slope(0), slope(1), slope(2)),
             curvature: DMat3::from_cols(bend(0), bend(1), bend(2)),
             low: DVec3::NEG_INFINITY,
             high: DVec3::INFINITY,
+            reach,
         }
     }
 
     /// [`through`](Self::through), kept between half the least and twice the largest of the values.
-    pub fn bounded(values: [DVec3; PROBES], radius: f64) -> Self {
+    pub fn bounded(values: [DVec3; PROBES], reach: f64) -> Self {
         let low = 0.5 * values.into_iter().reduce(DVec3::min).unwrap_or_default();
         let high = 2.0 * values.into_iter().reduce(DVec3::max).unwrap_or_default();
-        Self { low, high, ..Self::through(values, radius) }
+        Self { low, high, ..Self::through(values, reach) }
     }
 
-    /// The RGB value at `offset` from the centre. Further out than 1.5 radii it stays what it is there.
-    pub fn value(&self, offset: DVec3, radius: f64) -> DVec3 {
-        let delta = offset.clamp_length_max(REACH * radius);
+    /// The RGB value at `offset` from the centre. Further out than 1.5 times its probes it stays what it is there.
+    pub fn value(&self, offset: DVec3) -> DVec3 {
+        let delta = offset.clamp_length_max(BEYOND * self.reach);
         let value = self.center + self.gradient * delta + self.curvature * (delta * delta);
         // Where all values are negative, which ringing can make them, the bounds are out of order: the upper one holds.
         value.max(self.low).min(self.high)
     }
 }
 
-/// Evaluates the probes' source radiance along the look direction and fits a function to each RBF's seven.
-pub fn outgoing(rbfs: &[Rbf], source_radiance: &[[ShRgb; PROBES]], viewer: Viewer) -> Vec<Outgoing> {
+/// Evaluates the probes' source radiance along the look direction and fits a function to each RBF's seven; `sigma` is the
+/// grey extinction that says where the probes are.
+pub fn outgoing(rbfs: &[Rbf], source_radiance: &[[ShRgb; PROBES]], viewer: Viewer, sigma: f64) -> Vec<Outgoing> {
     rbfs.iter()
         .zip(source_radiance)
         .map(|(rbf, source_radiance)| {
-            let probes = probes(rbf);
+            let reach = reach(rbf, sigma);
+            let probes = probes(rbf, reach);
             let value = |i: usize| source_radiance[i].evaluate(viewer.look(probes[i]));
-            Outgoing::bounded(core::array::from_fn(value), rbf.radius.into())
+            Outgoing::bounded(core::array::from_fn(value), reach)
         })
         .collect()
 }
@@ -108,7 +115,7 @@ mod tests {
         for viewer in
             [Viewer::Perspective { eye: DVec3::new(1.0, 2.0, 3.0) }, Viewer::Orthographic { forward: DVec3::X }]
         {
-            let found = outgoing(&[RBF], &[[light; PROBES]], viewer)[0];
+            let found = outgoing(&[RBF], &[[light; PROBES]], viewer, 0.0)[0];
             assert!((found.center - DVec3::new(1.0, 0.5, 0.25)).length() < 1e-15);
             assert!((found.gradient * DVec3::ONE).length() < 1e-13);
         }
@@ -122,8 +129,8 @@ mod tests {
         let curvature =
             DMat3::from_cols(DVec3::new(3.0, 0.0, -5.0), DVec3::new(4.0, -6.0, 1.0), DVec3::new(-2.0, 2.0, 7.0));
         let field = |d: DVec3| mean + gradient * d + curvature * (d * d);
-        let source = probes(&RBF).map(|p| ShRgb::constant(field(p - rbf_center(&RBF))));
-        let found = outgoing(&[RBF], &[source], Viewer::Orthographic { forward: DVec3::Y })[0];
+        let source = probes(&RBF, RBF.radius.into()).map(|p| ShRgb::constant(field(p - rbf_center(&RBF))));
+        let found = outgoing(&[RBF], &[source], Viewer::Orthographic { forward: DVec3::Y }, 0.0)[0];
         assert!((found.center - mean).length() < 1e-14);
         for axis in DVec3::AXES {
             assert!(((found.gradient - gradient) * axis).length() < 1e-12);
@@ -133,11 +140,11 @@ mod tests {
         // The bounds, from 0.25 or less to 2 or more, do not act here.
         let radius = f64::from(RBF.radius);
         let offset = DVec3::new(0.06, -0.05, 0.1);
-        assert!((found.value(offset, radius) - field(offset)).length() < 1e-13);
+        assert!((found.value(offset) - field(offset)).length() < 1e-13);
         // 4 radii away: the offset is shortened to 1.5.
         let unbounded = Outgoing::through(source.map(|j| j.evaluate(DVec3::Y)), radius);
         let end = DVec3::new(0.6, 0.0, 0.8) * (1.5 * radius);
-        assert!((unbounded.value(end * (4.0 / 1.5), radius) - field(end)).length() < 1e-12);
+        assert!((unbounded.value(end * (4.0 / 1.5)) - field(end)).length() < 1e-12);
     }
 
     #[test]
@@ -147,10 +154,10 @@ mod tests {
         let value = |x: f64| DVec3::splat(x);
         let found = Outgoing::bounded([2.0, 3.0, 1.0, 2.0, 2.0, 1.0, 1.0].map(value), radius);
         assert_eq!((found.low, found.high), (value(0.5), value(6.0)));
-        assert!((found.value(DVec3::X * radius * 2.0, radius) - value(3.5)).length() < 1e-13);
-        assert_eq!(found.value(DVec3::Z * radius * 1.4, radius), value(0.5));
+        assert!((found.value(DVec3::X * radius * 2.0) - value(3.5)).length() < 1e-13);
+        assert_eq!(found.value(DVec3::Z * radius * 1.4), value(0.5));
         let valley = Outgoing::bounded([0.1, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0].map(value), radius);
-        assert_eq!(valley.value(DVec3::NEG_Y * radius * 1.5, radius), value(2.0));
+        assert_eq!(valley.value(DVec3::NEG_Y * radius * 1.5), value(2.0));
     }
 
     #[test]
@@ -158,14 +165,14 @@ mod tests {
         // A lobe linear in v: J(v) = −v.z, i.e. −z/y2 = √(4π/3). From far the lines are parallel.
         let lobe = ShRgb::zonal(DVec3::NEG_Z, &[0.0, 4.0 * core::f64::consts::PI / 3.0, 0.0, 0.0], DVec3::ONE);
         let eye = DVec3::new(0.1, -0.2, 1.05);
-        let near = outgoing(&[RBF], &[[lobe; PROBES]], Viewer::Perspective { eye })[0];
-        let expected = probes(&RBF).map(|p| (eye - p).z / (p - eye).length());
+        let near = outgoing(&[RBF], &[[lobe; PROBES]], Viewer::Perspective { eye }, 0.0)[0];
+        let expected = probes(&RBF, RBF.radius.into()).map(|p| (eye - p).z / (p - eye).length());
         for (offset, expected) in PROBE_OFFSETS.into_iter().zip(expected) {
-            let value = near.value(offset * RHO * f64::from(RBF.radius), RBF.radius.into());
+            let value = near.value(offset * f64::from(RBF.radius));
             assert!((value - DVec3::splat(expected)).length() < 1e-14);
         }
-        let far = outgoing(&[RBF], &[[lobe; PROBES]], Viewer::Perspective { eye: DVec3::Z * 1e6 })[0];
-        let parallel = outgoing(&[RBF], &[[lobe; PROBES]], Viewer::Orthographic { forward: -DVec3::Z })[0];
+        let far = outgoing(&[RBF], &[[lobe; PROBES]], Viewer::Perspective { eye: DVec3::Z * 1e6 }, 0.0)[0];
+        let parallel = outgoing(&[RBF], &[[lobe; PROBES]], Viewer::Orthographic { forward: -DVec3::Z }, 0.0)[0];
         assert!((parallel.center - DVec3::ONE).length() < 1e-14);
         assert!((far.center - parallel.center).length() < 1e-9);
     }
@@ -173,8 +180,8 @@ mod tests {
     #[test]
     fn an_eye_on_a_probe_stays_finite() {
         let light = ShRgb::constant(DVec3::ONE);
-        let eye = probes(&RBF)[2];
-        let found = outgoing(&[RBF], &[[light; PROBES]], Viewer::Perspective { eye })[0];
+        let eye = probes(&RBF, RBF.radius.into())[2];
+        let found = outgoing(&[RBF], &[[light; PROBES]], Viewer::Perspective { eye }, 0.0)[0];
         assert!((found.center - DVec3::ONE).length() < 1e-15);
     }
 }

@@ -80,7 +80,7 @@ pub(super) fn blend<'a>(x: DVec3, rbfs: impl Iterator<Item = (&'a Rbf, &'a Outgo
         let offset = x - rbf_center(rbf);
         let u_squared = offset.length_squared() / (radius * radius);
         let phi = weight * ((-u_squared).exp() + 1e-6 / (1.0 + u_squared).powi(2));
-        sum += phi * outgoing.value(offset, radius);
+        sum += phi * outgoing.value(offset);
         total += phi;
     }
     if total > 0.0 { sum / total } else { DVec3::ZERO }
@@ -100,7 +100,7 @@ mod tests {
 
     fn linear(center: DVec3, gradient: DMat3) -> Outgoing {
         let bounds = [f64::NEG_INFINITY, f64::INFINITY].map(DVec3::splat);
-        Outgoing { center, gradient, curvature: DMat3::ZERO, low: bounds[0], high: bounds[1] }
+        Outgoing { center, gradient, curvature: DMat3::ZERO, low: bounds[0], high: bounds[1], reach: f64::INFINITY }
     }
 
     fn constant(center: DVec3) -> Outgoing {
@@ -143,7 +143,7 @@ mod tests {
         }
         // One RBF alone, 6 radii away: the offset is shortened to 1.5.
         let x = rbf_center(&rbfs[0]) + DVec3::X * 0.36;
-        let outgoing = linear(DVec3::ONE, gradient);
+        let outgoing = Outgoing { reach: rbfs[0].radius.into(), ..linear(DVec3::ONE, gradient) };
         let expected = DVec3::ONE + gradient * DVec3::X * (1.5 * f64::from(rbfs[0].radius));
         assert!((interpolate(x, [(&rbfs[0], &outgoing)].into_iter()) - expected).length() < 1e-12);
     }

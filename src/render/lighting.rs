@@ -79,14 +79,14 @@ mod tests {
     fn delta_m_keeps_absorption_and_transport() {
         let (albedo, g, sigma) = ([0.9, 0.6, 1.0], 0.7_f32, 5.0);
         let lighting = LightingUniform::of_medium(&medium(albedo, g), sigma, true);
-        for c in 0..3 {
+        for (c, albedo) in albedo.into_iter().enumerate() {
             let inner = lighting.inner[0][c];
             // Absorption: σ'(1 − Ω') = σ(1 − Ω). Transport: σ'(1 − Ω'g') = σ(1 − Ωg).
             let absorbed = lighting.sigma[c] * (1.0 - inner);
-            assert!((absorbed - sigma * (1.0 - albedo[c])).abs() < 1e-5);
+            assert!((absorbed - sigma * (1.0 - albedo)).abs() < 1e-5);
             let transport = lighting.sigma[c] * (1.0 - lighting.inner[1][c]);
-            assert!((transport - sigma * (1.0 - albedo[c] * g)).abs() < 1e-5);
-            assert!((lighting.scatter[3][c] - albedo[c] * g.powi(3)).abs() < 1e-6);
+            assert!((transport - sigma * (1.0 - albedo * g)).abs() < 1e-5);
+            assert!((lighting.scatter[3][c] - albedo * g.powi(3)).abs() < 1e-6);
         }
     }
 

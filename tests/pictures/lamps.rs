@@ -126,16 +126,16 @@ fn radiance_is_linear_in_every_light() {
     let sky = || SmokeEnvironment::constant(Vec3::ONE, 1.0);
     let dark = picture(medium(5.0), sky(), |_| {});
     let with = |spawn: &dyn Fn(&mut World)| sum(&picture(medium(5.0), sky(), spawn), -1.0, &dark);
-    type Spawn = Box<dyn Fn(&mut World, f32)>;
+    type Spawn = Box<dyn Fn(&mut World, f32) -> Entity>;
     let lights: [(&str, Spawn); 4] = [
-        ("sun", Box::new(|world, factor| drop(world.spawn(sun(10.0 * factor))))),
-        ("point outside", Box::new(|world, factor| drop(world.spawn(point(10.0 * factor, OUTSIDE))))),
-        ("point inside", Box::new(|world, factor| drop(world.spawn(point(200.0 * factor, INSIDE))))),
-        ("spot", Box::new(move |world, factor| drop(world.spawn(spot(2000.0 * factor))))),
+        ("sun", Box::new(|world, factor| world.spawn(sun(10.0 * factor)).id())),
+        ("point outside", Box::new(|world, factor| world.spawn(point(10.0 * factor, OUTSIDE)).id())),
+        ("point inside", Box::new(|world, factor| world.spawn(point(200.0 * factor, INSIDE)).id())),
+        ("spot", Box::new(move |world, factor| world.spawn(spot(2000.0 * factor)).id())),
     ];
     for (name, light) in lights {
-        let once = with(&|world| light(world, 1.0));
-        let twice = with(&|world| light(world, 2.0));
+        let once = with(&|world| _ = light(world, 1.0));
+        let twice = with(&|world| _ = light(world, 2.0));
         assert!(brightness(&once) > 0.3 * brightness(&dark), "{name}");
         // Each picture is solved to half a percent, the sky's share included, which is subtracted.
         println!("{name}");

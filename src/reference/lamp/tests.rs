@@ -40,7 +40,7 @@ fn lit(rbfs: &[Rbf], density: &Grid, coarse: &Grid, lamp: &Lamp) -> Volume {
     let dark = vec![Outgoing::through([DVec3::ZERO; PROBES], 1.0); rbfs.len()];
     let bins = RbfBins::new(rbfs, density.shape);
     let mut volume = volume(rbfs, &dark, &bins, density);
-    let (columns, sigma) = (columns(rbfs, coarse, lamp), DVec3::splat(MEDIUM.sigma));
+    let (columns, sigma) = (columns(rbfs, coarse, lamp, 0.0), DVec3::splat(MEDIUM.sigma));
     shine(&mut volume, rbfs, &bins, &columns, lamp, SOFTENING, &MEDIUM, sigma, VIEWER);
     volume
 }

@@ -118,7 +118,7 @@ fn single_scattering_scales_the_bands() {
     let medium = Medium { sigma: 2.0, albedo: DVec3::new(0.9, 0.6, 0.3), g: 0.4 };
     let found = single_scattering(&[rbf], &grid, &sky(), &medium);
     assert_eq!(found.len(), 1);
-    for (j, p) in found[0].iter().zip(probes(&rbf)) {
+    for (j, p) in found[0].iter().zip(probes(&rbf, rbf.radius.into())) {
         let direct = incident(p, &grid, &sky(), DVec3::splat(medium.sigma), DIRECTIONS).light;
         for k in 0..16 {
             let expected = medium.albedo * direct.0[k] * 0.4f64.powi(band(k) as i32);

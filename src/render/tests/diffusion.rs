@@ -23,7 +23,7 @@ fn solve(g: f32, solves: usize) -> ([Vec<f64>; 2], SolverReport) {
         rbfs(&frame).iter().map(|_| core::array::from_fn(|_| mean + random_light(&mut random) * 0.1)).collect();
     let smoke = SmokeMedium { albedo: LinearRgba::rgb(0.9, 0.6, 0.2), g, ..SmokeMedium::default() };
     // Thin enough that the probes are a radius away.
-    let sigma = 16.0;
+    let sigma = 7.0;
     let lighting = LightingUniform::of_medium(&smoke, sigma, false);
     let lighting = uniform(gpu.device(), gpu.queue(), "test", lighting);
     let diffusion = DiffusionUniform::new(shape, 1e-3);

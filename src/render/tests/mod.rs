@@ -331,7 +331,7 @@ fn twin_columns(rbfs: &[Rbf], coarse: &Grid) -> Vec<f32> {
     let lamps = twin_lamps().lamps;
     let to = |p: DVec3, lamp: &Lamp| column(&lamp.seen_from(p, 0.0).ray, coarse) as f32;
     let at = |p: DVec3| -> [f32; MAX_LAMPS] { std::array::from_fn(|i| lamps.get(i).map_or(0.0, |lamp| to(p, lamp))) };
-    rbfs.iter().flat_map(|rbf| probes(rbf).map(at)).flatten().collect()
+    rbfs.iter().flat_map(|rbf| probes(rbf, rbf.radius.into()).map(at)).flatten().collect()
 }
 
 /// What goes with the rows of the twin's pair matrix, 16 values each: the weight in the balance of energy, w r^3 times

@@ -67,7 +67,7 @@ fn check(what: &str, eye: Vec4, viewer: Viewer) {
         let medium = twin_medium(&medium, 5.0);
         let surroundings = transport::surroundings(rbfs, &pairs);
         let source = transport::source_radiance(&incident, &gathered, &surroundings, &medium);
-        let expected = reference::outgoing::outgoing(rbfs, &source, viewer);
+        let expected = reference::outgoing::outgoing(rbfs, &source, viewer, 5.0);
         let found = gpu.read_floats(&fits);
         let found = found.as_chunks::<28>().0;
         let of_pass = |fit: &[f32; 28]| -> [DVec3; 7] {

@@ -18,7 +18,7 @@ fn random_fits(random: &mut Random, rbfs: &[Rbf], slope: f64) -> Vec<Outgoing> {
         };
         let (gradient, curvature) = (matrix(slope), matrix(slope / f64::from(rbf.radius)));
         let center = random.vector().as_vec3().as_dvec3();
-        Outgoing { center, gradient, curvature, low: 0.5 * center - 0.3, high: 2.0 * center }
+        Outgoing { center, gradient, curvature, low: 0.5 * center - 0.3, high: 2.0 * center, reach: rbf.radius.into() }
     };
     rbfs.iter().map(fit).collect()
 }
@@ -54,6 +54,7 @@ fn run(lighting: LightingUniform, medium: &SmokeMedium, brightness: f64) -> ([Ve
             curvature: brightness * fit.curvature,
             low: brightness * fit.low,
             high: brightness * fit.high,
+            ..*fit
         };
     }
     // Columns are the same in all three channels, and have no bounds.
@@ -64,7 +65,7 @@ fn run(lighting: LightingUniform, medium: &SmokeMedium, brightness: f64) -> ([Ve
             };
             let (gradient, curvature) = (grey(o.gradient), grey(o.curvature));
             let (low, high) = (DVec3::NEG_INFINITY, DVec3::INFINITY);
-            Outgoing { center: DVec3::splat(0.3 * o.center.x), gradient, curvature, low, high }
+            Outgoing { center: DVec3::splat(0.3 * o.center.x), gradient, curvature, low, high, ..o }
         };
         random_fits(&mut random, rbfs, 1.0).into_iter().map(column).collect()
     };
