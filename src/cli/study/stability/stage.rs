@@ -7,12 +7,15 @@ use bevy::math::DVec3;
 use bevy::prelude::*;
 use bevy::render::render_resource::{Extent3d, TextureDimension, TextureFormat};
 
+use super::Method;
 use super::cases::{BRIGHT, BRIGHT_RADIANCE, Case, Light, TEXELS};
 use crate::headless::Headless;
+use crate::paper::SmokePaper;
 use crate::prelude::*;
 use crate::reference::path::{self, EquirectImage, Events};
 use crate::reference::{Grid, Medium, Ray};
 use crate::render::SolverReport;
+use crate::scattering::ScatteringSolver;
 use crate::sh::{ShRgb, SphereRule};
 
 /// Pixels of a picture.
@@ -55,7 +58,7 @@ impl Stage {
     }
 
     /// Draws a case in a volume of its own: what comes before it, then the case itself for one frame.
-    pub fn draw(&mut self, case: &Case, scattering: SmokeScattering) -> Picture {
+    pub fn draw(&mut self, case: &Case, method: Method) -> Picture {
         let world = self.headless.app.world_mut();
         let smoke = world.resource_mut::<Assets<SmokeAnimation>>().add((*case.smoke).clone());
         let width = case.width as f32;
@@ -66,7 +69,14 @@ impl Stage {
         let lit = (medium(first), self.environment(first));
         let transform = Transform::from_scale(Vec3::splat(width));
         let world = self.headless.app.world_mut();
-        let volume = world.spawn((SmokeVolume::new(smoke), scattering, transform, lit)).id();
+        let solver =
+            if method == Method::Diffusion { ScatteringSolver::Diffusion } else { ScatteringSolver::Transport };
+        let scattering = SmokeScattering { solver, ..SmokeScattering::MULTIPLE };
+        let mut volume = world.spawn((SmokeVolume::new(smoke), scattering, transform, lit));
+        if method == Method::Paper {
+            volume.insert(SmokePaper::default());
+        }
+        let volume = volume.id();
         // The asset has to reach the GPU, and the bounds the volume.
         for _ in 0..4 {
             self.headless.app.update();
