@@ -80,14 +80,15 @@ pub fn cells(coarse: &Grid) -> Grid {
     Grid { shape, values: (0..shape.len()).map(density).collect() }
 }
 
-/// Single scattering at the cells' centres, from the source radiance of every RBF's probes: quadratic around each RBF,
-/// and between RBFs with the weights of [`volume`](super::volume::volume).
-pub fn cell_source(rbfs: &[Rbf], probes: &[[ShRgb; PROBES]], shape: GridShape) -> Vec<[Taylor; 3]> {
+/// Single scattering at the cells' centres, from the source radiance of every RBF's probes, which are where the
+/// extinction `sigma` puts them: quadratic around each RBF, and between RBFs with the weights of
+/// [`volume`](super::volume::volume).
+pub fn cell_source(rbfs: &[Rbf], probes: &[[ShRgb; PROBES]], sigma: f64, shape: GridShape) -> Vec<[Taylor; 3]> {
     let bins = RbfBins::new(rbfs, shape);
     let fits: Vec<[Outgoing; 4]> = rbfs
         .iter()
         .zip(probes)
-        .map(|(rbf, probes)| core::array::from_fn(|k| Outgoing::through(probes.map(|sh| sh.0[k]), rbf.radius.into())))
+        .map(|(rbf, probes)| core::array::from_fn(|k| Outgoing::through(probes.map(|sh| sh.0[k]), reach(rbf, sigma))))
         .collect();
     (0..shape.len())
         .into_par_iter()
@@ -504,7 +505,7 @@ mod tests {
         let light: Vec<[ShRgb; PROBES]> =
             rbfs.iter().map(|rbf| probes(rbf, rbf.radius.into()).map(|p| Taylor::sh([at(p); 3]))).collect();
         let shape = GridShape::new(UVec3::new(32, 16, 16));
-        let found = cell_source(&rbfs, &light, shape);
+        let found = cell_source(&rbfs, &light, MEDIUM.sigma, shape);
         for (i, rgb) in found.iter().enumerate() {
             let x = center(shape, shape.cell(i));
             // Within 1.5 radii offsets are not shortened.

@@ -31,7 +31,8 @@ pub const LABEL: &str = "smoke_diffusion";
 
 /// Cells a side of the grid, at most.
 pub(super) const CELLS: u32 = 32;
-/// Steps at most; those after the residual is small enough find nothing to do. From black they leave 0.2 to 0.6 % of L⁰.
+/// Steps at most; those after the residual is small enough find nothing to do. From black they leave a residual of 1 to 3 %
+/// of the right-hand side on the reference scenes, and 0.2 to 0.6 % of L⁰; the next solve goes on from there.
 pub(super) const STEPS: u32 = 20;
 /// Bytes an RBF takes in the list of fits: four of 112 bytes.
 const FIT_BYTES: u64 = 4 * 112;

@@ -61,7 +61,7 @@ fn solve(g: f32, solves: usize) -> ([Vec<f64>; 2], SolverReport) {
     let scatter = |light: ShRgb| Sh(light.convolve(&factors).0.map(|c| c * medium.albedo));
     let single: Vec<_> = light.iter().map(|probes| probes.map(scatter)).collect();
     let cells = twin::cells(&coarse);
-    let source = twin::cell_source(rbfs(&frame), &single, cells.shape);
+    let source = twin::cell_source(rbfs(&frame), &single, medium.sigma, cells.shape);
     let settings = twin::Settings { steps: 200, tolerance: 1e-6, ..twin::Settings::default() };
     let field = twin::diffuse(&cells, &source, &medium, &settings, None);
     // The pass adds light, which scatters later.
