@@ -2,8 +2,8 @@
 //!
 //! An artist's density animation is baked once into a small bundle: radial basis functions for the bulk of the smoke
 //! and a hashed residual for its detail. A game adds [`SmokePlugin`], spawns a [`SmokeVolume`](volume::SmokeVolume)
-//! with the bundle's handle, and the plug-in lights it every frame by the scene's environment and composites it with
-//! the scene's meshes.
+//! with the bundle's handle, and the plug-in lights it every frame by the scene's environment, sun and lamps and
+//! composites it with the scene's meshes.
 //!
 //! ```no_run
 //! use bevy::prelude::*;
@@ -26,9 +26,9 @@
 //! ```
 //!
 //! The method follows Zhou et al. 2008, *Real-Time Smoke Rendering Using Compensated Ray Marching*, and departs from
-//! it where measurement showed something better: source radiance is evaluated at tetrahedral probes around every
-//! RBF's centre, not at the centre alone, and light reaches the probes along fixed directions through a coarse copy
-//! of the density. See [`render`] for the passes.
+//! it where measurement showed something better: light is looked for at probes around every RBF's centre, not at the
+//! centre alone, along fixed directions through a coarse copy of the density; light that scatters more than once is
+//! transported between RBFs, not diffused; sharp lights are rays. See [`render`] for the passes.
 //!
 //! # Features
 //!

@@ -8,15 +8,16 @@ pub type EnvironmentCoefficients = [Vec3; 16];
 /// The environment that lights a volume of smoke. On a [`SmokeVolume`](crate::volume::SmokeVolume) it is that volume's
 /// light for every camera; by default each camera's own environment map lights it.
 ///
-/// Smoke sees the environment through four bands of spherical harmonics: skies, rooms and soft lamps are kept, a sharp
-/// sun in the map is spread to about 60°.
+/// Smoke sees the environment through four bands of spherical harmonics: skies, rooms and soft lamps are kept. A sun in an
+/// uncompressed image that the main world keeps is found and lit as a ray; other small bright lights are spread to about
+/// 60°. The scene's own directional, point and spot lights light smoke beside its environment.
 ///
 /// Radiances are in cd/m² and exposed by the camera like everything else Bevy draws.
 #[derive(Component, Clone, Debug, Default, PartialEq, Reflect)]
 #[reflect(Component, Default, Debug, Clone, PartialEq)]
 pub enum SmokeEnvironment {
-    /// The [`EnvironmentMapLight`] of the camera that looks: its specular map, intensity and rotation. A camera without
-    /// one sees unlit smoke.
+    /// The [`EnvironmentMapLight`] of the camera that looks: its specular map, intensity and rotation; and its ambient light
+    /// ([`AmbientLight`], else [`GlobalAmbientLight`]).
     #[default]
     Camera,
     /// A latitude-longitude image (HDR or EXR): `u = φ/2π, v = θ/π, ω = (sin φ sin θ, cos θ, −cos φ sin θ)`, so that the

@@ -18,8 +18,9 @@ pub struct SmokeMedium {
     pub albedo: LinearRgba,
     /// Henyey–Greenstein asymmetry g in -0.95..=0.95: 0 scatters evenly, above 0 forward, below 0 back.
     ///
-    /// The phase function is kept to four bands of spherical harmonics, its factors g, g² and g³: mild phases are kept
-    /// well, and the nearer |g| is to 1 the blunter they get.
+    /// Light from all around meets the phase function in four bands of spherical harmonics, its factors g, g² and g³, after
+    /// its forward peak has been cut off where light scatters more than once (delta-M): the nearer |g| is to 1 the blunter
+    /// it gets. The last scattering of light from a sun or lamp is exact.
     pub g: f32,
 }
 

@@ -45,7 +45,8 @@ impl Sun {
             }
         }
         let mean = flux / solid_angle;
-        if !(peak > PEAK * luminance(mean)) {
+        // Nor where there is no light at all.
+        if peak <= PEAK * luminance(mean) {
             return None;
         }
         let (mut irradiance, mut direction) = (DVec3::ZERO, DVec3::ZERO);

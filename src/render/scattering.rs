@@ -69,6 +69,7 @@ pub struct SolverReport {
 
 impl SolverReport {
     /// Reads the solver's buffer.
+    #[cfg(feature = "cli")]
     pub(crate) fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let word = |i: usize| Some(u32::from_le_bytes(bytes.get(4 * i..4 * i + 4)?.try_into().ok()?));
         Some(Self { converged: word(0)? != 0, sweeps: word(1)?, error: f32::from_bits(word(2)?) })
