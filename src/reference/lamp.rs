@@ -164,7 +164,7 @@ const HELD: f64 = 0.6;
 /// J_2 = Ω/(4π) ∫ σ D J_1(y) / |x − y|² dy = Ω² σ D I π / (16 d)
 /// ```
 ///
-/// which rises without end toward the lamp. Solved between RBFs it rises to about 1/d = [`HELD`]/r; what is above that is
+/// which rises without end toward the lamp. Solved between RBFs it rises to about 1/d = `HELD`/r; what is above that is
 /// added here, with the distance softened as everywhere, D that of the cell and r the mean radius there.
 pub fn shine_again(
     volume: &mut Volume,

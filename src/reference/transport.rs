@@ -14,7 +14,7 @@
 //! Where light is the same all around, white smoke (albedo 1) has that radiance too. It would not if L_m were just
 //! (1 − τ̄) G: L_d is brightest from where the smoke is thin, G from where the Gaussians are, and the two do not add up to
 //! the same light all around. What is missing for a J of 1 everywhere is known, and is added in proportion to the mean of
-//! G (see [`scattered_before`]). So energy is exact, for any phase function.
+//! G (see `scattered_before`). So energy is exact, for any phase function.
 //!
 //! Everything is a function of the look direction v, which is also the direction ω that light comes from.
 //!
@@ -180,7 +180,7 @@ pub fn surroundings(rbfs: &[Rbf], pairs: &[f64]) -> Vec<Sh<f64>> {
 }
 
 /// G at every RBF: the light scattered elsewhere, in the steady state J_k = Ω' g'_l (L̄_d,k + L_m,k), G = K̂ J, with
-/// means over the probes ([`scattered_before`] has L_m).
+/// means over the probes (`scattered_before` has L_m).
 pub fn scattered_light(rbfs: &[Rbf], pairs: &[f64], incident: &[[Incident; PROBES]], medium: &Medium) -> Vec<ShRgb> {
     let DeltaM { albedo, factors, .. } = DeltaM::new(medium);
     let incident: Vec<Incident> = incident.iter().map(mean).collect();

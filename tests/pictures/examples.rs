@@ -11,6 +11,9 @@ use crate::scene::save;
 #[path = "../../examples/demo.rs"]
 mod demo;
 #[allow(dead_code)]
+#[path = "../../examples/lamps.rs"]
+mod lamps;
+#[allow(dead_code)]
 #[path = "../../examples/minimal.rs"]
 mod minimal;
 
@@ -66,4 +69,25 @@ fn demo_shows_smoke_and_meshes() {
     let blue = count(&|[r, g, b, _]| 2 * u32::from(b) > 3 * u32::from(r) && 2 * u32::from(b) > 3 * u32::from(g));
     assert!(red > 1000, "the sphere in front of the smoke: {red} pixels");
     assert!(blue > 1000, "the wall behind it: {blue} pixels");
+}
+
+#[test]
+fn lamps_show_fire_and_beam() {
+    let size = UVec2::new(384, 288);
+    let pictures = pictures("lamps", size, lamps::setup);
+    let (smoke, all) = (smoky(&pictures), pictures[0].len());
+    assert!((all / 40..all / 2).contains(&smoke), "{smoke} of {all} pixels show smoke");
+    // Of the pixels that smoke changes: orange about the fire, and blue where the beam meets smoke, higher up.
+    let mean_row = |is: &dyn Fn(&[u8; 4]) -> bool| {
+        let both = pictures[0].iter().zip(&pictures[1]).enumerate();
+        let rows: Vec<usize> = both
+            .filter(|(_, (with, without))| (0..3).any(|c| with[c] > without[c].saturating_add(10)) && is(with))
+            .map(|(i, _)| i / size.x as usize)
+            .collect();
+        assert!(rows.len() > 300, "{} pixels", rows.len());
+        rows.iter().sum::<usize>() / rows.len()
+    };
+    let fire = mean_row(&|[r, _, b, _]| u32::from(*r) > 2 * u32::from(*b));
+    let beam = mean_row(&|[r, _, b, _]| b > r);
+    assert!(beam + 30 < fire, "the beam is at row {beam}, the fire at row {fire}");
 }
