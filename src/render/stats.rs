@@ -12,8 +12,9 @@ use crate::scattering::ScatteringChoice;
 const PASS_COUNT: usize = 10 + cfg!(feature = "reference") as usize;
 
 /// How many dispatches (and draws) each pass has made since the app started, in both worlds: the renderer counts, the
-/// main world reads. The scattering and the diffusion pass count their solves, each of which is many dispatches. GPU times are in Bevy's `DiagnosticsStore` under `render/<pass>/elapsed_gpu`, where the adapter has
-/// timestamps and `RenderDiagnosticsPlugin` is added.
+/// main world reads. The scattering and the diffusion pass count their solves, each of which is many dispatches. GPU times
+/// are in Bevy's `DiagnosticsStore` under `render/<pass>/elapsed_gpu`, where the adapter has timestamps and
+/// `RenderDiagnosticsPlugin` is added.
 #[derive(Resource, Clone, Debug, Default)]
 pub struct SmokeRenderStats {
     pub(crate) environment: DispatchCounter,

@@ -7,8 +7,7 @@ use crate::render::incident_light::{self, Bindings};
 use crate::render::prepare::linear_sampler;
 use crate::sh::COEFFICIENTS;
 
-#[test]
-fn incident_light_matches_its_twin() {
+fn check(extinction: f32) {
     let (gpu, frame) = (Gpu::new(), fixture());
     let (coarse, uploaded) = coarse_frame(&gpu, &frame);
     let mut random = Random(11);
@@ -21,7 +20,7 @@ fn incident_light_matches_its_twin() {
         environment_from_bundle: Mat3::from_quat(rotation),
         ambient,
         environment_scale: 0.5,
-        ..LightingUniform::of_medium(&medium, 6.5, true)
+        ..LightingUniform::of_medium(&medium, extinction, true)
     });
     let sigma = lighting.sigma.as_dvec3();
     let lighting = uniform(gpu.device(), gpu.queue(), "test", lighting);
@@ -45,7 +44,9 @@ fn incident_light_matches_its_twin() {
     let [x, y, z, w] = rotation.to_array().map(f64::from);
     let environment = Sh(environment.0.map(|c| 0.5 * c)) + Sh::constant(ambient.as_dvec3());
     let lighting = Lighting { environment, env_from_local: DMat3::from_quat(DQuat::from_xyzw(x, y, z, w)) };
-    let expected = reference::incident_light::incident_light(rbfs(&frame), &coarse, &lighting, sigma);
+    // The passes see densities, and so RBFs, scaled; this coarse density is not.
+    let scaled: Vec<Rbf> = rbfs(&frame).iter().map(|rbf| Rbf { weight: rbf.weight / MAX_DENSITY, ..*rbf }).collect();
+    let expected = reference::incident_light::incident_light(&scaled, &coarse, &lighting, sigma);
     let expected = || expected.iter().flatten();
     let found = gpu.read_floats(&probes);
     assert_close("incident light", HALF, unpad(&found), expected().flat_map(|probe| probe.light.0).flat_map(rgb));
@@ -55,5 +56,17 @@ fn incident_light_matches_its_twin() {
     assert_close("escaping light", HALF, unpad(&found), expected().flat_map(|probe| rgb(probe.escape)));
     // The other lamps' are never read.
     let found = gpu.read_floats(&columns);
-    assert_close("columns to lamps", HALF, widen(&found), widen(&twin_columns(rbfs(&frame), &coarse)));
+    let reach = |rbf: &Rbf| reference::incident_light::reach(rbf, sigma.element_sum() / 3.0);
+    assert_close("columns to lamps", HALF, widen(&found), widen(&twin_columns(&scaled, &coarse, reach)));
+}
+
+#[test]
+fn incident_light_matches_its_twin() {
+    check(6.5);
+}
+
+#[test]
+fn incident_light_matches_its_twin_where_probes_are_moved_out() {
+    // Optical depths of up to 50, of which only what passes is seen.
+    check(300.0);
 }

@@ -326,12 +326,12 @@ fn twin_lamps() -> Lamps {
     Lamps { lamps: lamps().iter().map(lamp).collect(), softening: SOFTENING.into() }
 }
 
-/// The twin's columns to them, [`MAX_LAMPS`] a probe.
-fn twin_columns(rbfs: &[Rbf], coarse: &Grid) -> Vec<f32> {
+/// The twin's columns to them, [`MAX_LAMPS`] a probe, with probes as far out as `reach` says.
+fn twin_columns(rbfs: &[Rbf], coarse: &Grid, reach: impl Fn(&Rbf) -> f64) -> Vec<f32> {
     let lamps = twin_lamps().lamps;
     let to = |p: DVec3, lamp: &Lamp| column(&lamp.seen_from(p, 0.0).ray, coarse) as f32;
     let at = |p: DVec3| -> [f32; MAX_LAMPS] { std::array::from_fn(|i| lamps.get(i).map_or(0.0, |lamp| to(p, lamp))) };
-    rbfs.iter().flat_map(|rbf| probes(rbf, rbf.radius.into()).map(at)).flatten().collect()
+    rbfs.iter().flat_map(|rbf| probes(rbf, reach(rbf)).map(at)).flatten().collect()
 }
 
 /// What goes with the rows of the twin's pair matrix, 16 values each: the weight in the balance of energy, w r^3 times

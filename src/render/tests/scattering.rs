@@ -41,7 +41,7 @@ fn solve(medium: SmokeMedium, escape: f64, tolerance: f32, sharp: Sharp) -> ([Ve
         steps: &StepUniform::all(tolerance).map(|step| uniform(gpu.device(), gpu.queue(), "test", step)),
         probes: &probes,
         escapes: &escapes,
-        columns: &gpu.buffer(&twin_columns(rbfs, &coarse)),
+        columns: &gpu.buffer(&twin_columns(rbfs, &coarse, |rbf| rbf.radius.into())),
         matrix: &gpu.buffer(&matrix),
         rows: &gpu.buffer(&rows),
         sources: &zeros(count as u64 * SOURCE_BYTES),
