@@ -33,9 +33,9 @@ pub struct Lamps {
     pub softening: f64,
 }
 
-/// The softening of lamps in a volume of this shape: 1.5 cells, squared.
+/// The softening of lamps in a volume of this shape: 2.5 cells, squared.
 pub fn softening(shape: GridShape) -> f64 {
-    (1.5 * cell_size(shape)).powi(2)
+    (2.5 * cell_size(shape)).powi(2)
 }
 
 /// A sharp light, in bundle space.

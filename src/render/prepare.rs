@@ -48,7 +48,7 @@ pub(super) struct SmokeCache {
 }
 
 /// Lamps are softened over so many cells, and their glow within is drawn by the view pass.
-const SOFTENING_CELLS: f32 = 1.5;
+const SOFTENING_CELLS: f32 = 2.5;
 
 /// Where light that scatters more than once adds less than this to single scattering, it does not diffuse.
 const DIFFUSION_SHARE: f32 = 0.1;
