@@ -5,7 +5,8 @@ use std::sync::Once;
 use std::time::{Duration, Instant};
 
 use bevy::asset::RenderAssetUsages;
-use bevy::camera::RenderTarget;
+use bevy::camera::{Exposure, Hdr, RenderTarget, ShadowLodOrigin};
+use bevy::core_pipeline::tonemapping::{DebandDither, Tonemapping};
 use bevy::log::LogPlugin;
 use bevy::prelude::*;
 use bevy::render::RenderApp;
@@ -99,6 +100,22 @@ impl Headless {
     /// The image, as a camera's target.
     pub fn target(&self) -> RenderTarget {
         RenderTarget::Image(self.target.clone().into())
+    }
+
+    /// A camera that shows radiance as it is, over nothing: exposure 1, no tone mapping, no dithering.
+    pub fn radiance_camera(&self) -> impl Bundle + use<> {
+        (
+            Camera3d::default(),
+            Camera { clear_color: ClearColorConfig::Custom(Color::NONE), ..default() },
+            self.target(),
+            Hdr,
+            Msaa::Off,
+            Tonemapping::None,
+            DebandDither::Disabled,
+            // Exposure is 1 / (1.2 · 2^ev100): this makes it 1.
+            Exposure { ev100: -(1.2_f32.log2()) },
+            ShadowLodOrigin,
+        )
     }
 
     /// Makes every camera that the app's systems spawn draw into the image, whatever its target was.

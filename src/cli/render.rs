@@ -5,8 +5,6 @@ use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
 use bevy::asset::RenderAssetUsages;
-use bevy::camera::{Exposure, Hdr, ShadowLodOrigin};
-use bevy::core_pipeline::tonemapping::{DebandDither, Tonemapping};
 use bevy::diagnostic::{DEFAULT_MAX_HISTORY_LENGTH, Diagnostic, DiagnosticPath, DiagnosticsStore};
 use bevy::math::{DMat3, DVec3};
 use bevy::prelude::*;
@@ -424,18 +422,9 @@ fn spawn_scene(
 
     let camera = &scene.camera;
     let projection = PerspectiveProjection { fov: camera.fov_y_deg.to_radians() as f32, near: 1e-3, ..default() };
-    let target = headless.target();
+    let shows = headless.radiance_camera();
     headless.app.world_mut().spawn((
-        Camera3d::default(),
-        Camera { clear_color: ClearColorConfig::Custom(Color::NONE), ..default() },
-        target,
-        Hdr,
-        Msaa::Off,
-        Tonemapping::None,
-        DebandDither::Disabled,
-        // Exposure is 1 / (1.2 · 2^ev100): this makes it 1.
-        Exposure { ev100: -(1.2_f32.log2()) },
-        ShadowLodOrigin,
+        shows,
         Projection::Perspective(projection),
         Transform::from_translation(camera.eye.as_vec3()).looking_at(camera.target.as_vec3(), Vec3::Y),
     ));

@@ -20,7 +20,7 @@ fn scatter(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let rbf = rbfs[probe / PROBES];
-    let reach = probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, rbf.radius);
+    let reach = probe_reach(rbf, lighting.sigma_mean, frame.density_scale);
     let x = probe_position(rbf.center, reach, probe % PROBES);
     let at = x / diffusion.cell + 0.5 * vec3<f32>(diffusion.dims) - 0.5;
     let low = floor(at);

@@ -35,7 +35,7 @@ fn fit(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let rbf = rbfs[l];
-    let r = probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, rbf.radius);
+    let r = probe_reach(rbf, lighting.sigma_mean, frame.density_scale);
     var values: array<vec4<f32>, PROBES>;
     for (var i = 0u; i < PROBES; i++) {
         let probe = l * PROBES + i;

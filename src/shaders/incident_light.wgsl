@@ -79,7 +79,7 @@ fn gather(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let rbf = rbfs[group.x];
-    let reach = probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, rbf.radius);
+    let reach = probe_reach(rbf, lighting.sigma_mean, frame.density_scale);
     let point = probe_position(rbf.center, reach, group.y);
     let probe = group.x * PROBES + group.y;
     let towards = direction(thread);

@@ -1,6 +1,7 @@
 // What the lighting passes share: the medium and the lamps as they see them, and where an RBF's probes are.
 // Filled by `LightingUniform` (render/lighting.rs).
 #define_import_path bevy_smoke::lighting
+#import bevy_smoke::frame::Rbf
 
 // A sun, a point light or a spot light. Lengths are bundle units, so that irradiance is intensity over distance squared.
 struct Lamp {
@@ -66,9 +67,10 @@ const DIRECTIONS: u32 = 64u;
 // Probes around an RBF: its centre, and both sides along x, y and z.
 const PROBES: u32 = 7u;
 // How far they are from its centre: a radius, but farther where the RBF is so thick that light ends before, about where
-// the smoke that is left outside has an optical depth of 1. `depth` is the optical depth of a radius at the RBF's weight.
-fn probe_reach(depth: f32, radius: f32) -> f32 {
-    return radius * sqrt(clamp(log(max(3.0 * depth, 1e-30)), 1.0, 6.0));
+// the smoke that is left outside has an optical depth of 1, for a grey extinction and the density's scale.
+fn probe_reach(rbf: Rbf, sigma: f32, density_scale: f32) -> f32 {
+    let depth = sigma * density_scale * rbf.weight * rbf.radius;
+    return rbf.radius * sqrt(clamp(log(max(3.0 * depth, 1e-30)), 1.0, 6.0));
 }
 
 fn probe_position(center: vec3<f32>, reach: f32, i: u32) -> vec3<f32> {

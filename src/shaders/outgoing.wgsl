@@ -62,7 +62,7 @@ fn leave(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let l = id.x;
     let rbf = rbfs[l];
-    let reach = probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, rbf.radius);
+    let reach = probe_reach(rbf, lighting.sigma_mean, frame.density_scale);
     var radiance: array<vec4<f32>, PROBES>;
     var low = vec3(3e38);
     var high = vec3(-3e38);

@@ -33,7 +33,7 @@ fn lamp_light(l: u32, rbf: Rbf, lamp: Lamp, j: u32, k: u32) -> vec3<f32> {
     var light = vec3(0.0);
     var inverse_squares = 0.0;
     for (var i = 0u; i < PROBES; i++) {
-        let reach = probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, rbf.radius);
+        let reach = probe_reach(rbf, lighting.sigma_mean, frame.density_scale);
         let point = probe_position(rbf.center, reach, i);
         let seen = arriving_from(lamp, point, lighting.softening);
         let kept = exp(-lighting.sigma * columns[(l * PROBES + i) * MAX_LAMPS + j]);

@@ -80,7 +80,7 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
         let offset = x - rbf.center;
         let u2 = dot(offset, offset) / (rbf.radius * rbf.radius);
         let phi = rbf.weight * (exp(-u2) + TAIL / ((1.0 + u2) * (1.0 + u2)));
-        let reach = REACH * probe_reach(lighting.sigma_mean * frame.density_scale * rbf.weight * rbf.radius, 1.0);
+        let reach = REACH * probe_reach(rbf, lighting.sigma_mean, frame.density_scale) / rbf.radius;
         let delta = offset * min(1.0, reach / sqrt(max(u2, 1e-12)));
         let o = outgoing[l];
         let low = vec3(o.center.w, o.dx.w, o.dy.w);

@@ -1,8 +1,6 @@
 //! Where the cases are drawn, and traced.
 
 use bevy::asset::RenderAssetUsages;
-use bevy::camera::{Exposure, Hdr};
-use bevy::core_pipeline::tonemapping::{DebandDither, Tonemapping};
 use bevy::math::DVec3;
 use bevy::prelude::*;
 use bevy::render::render_resource::{Extent3d, TextureDimension, TextureFormat};
@@ -42,18 +40,8 @@ pub struct Stage {
 impl Stage {
     pub fn new() -> anyhow::Result<Self> {
         let mut headless = Headless::new(SIZE * RAYS, TextureFormat::Rgba16Float)?;
-        let target = headless.target();
-        let camera = headless.app.world_mut().spawn((
-            Camera3d::default(),
-            Camera { clear_color: ClearColorConfig::Custom(Color::NONE), ..default() },
-            target,
-            Hdr,
-            Msaa::Off,
-            Tonemapping::None,
-            DebandDither::Disabled,
-            Exposure { ev100: -(1.2_f32.log2()) },
-        ));
-        let camera = camera.id();
+        let shows = headless.radiance_camera();
+        let camera = headless.app.world_mut().spawn(shows).id();
         Ok(Self { headless, camera })
     }
 
