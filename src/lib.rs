@@ -53,6 +53,7 @@ pub mod medium;
 pub mod optics;
 #[cfg(feature = "reference")]
 pub mod paper;
+pub mod playback;
 mod random;
 pub mod rbf;
 #[cfg(feature = "reference")]
@@ -74,6 +75,7 @@ pub mod prelude {
     pub use crate::bundle::SmokeAnimation;
     pub use crate::lighting::SmokeEnvironment;
     pub use crate::medium::SmokeMedium;
+    pub use crate::playback::SmokePlayback;
     pub use crate::scattering::{ScatteringEvents, ScatteringSolver, SmokeScattering};
     pub use crate::volume::SmokeVolume;
 }
@@ -93,6 +95,6 @@ impl Plugin for SmokePlugin {
             .register_type::<medium::SmokeMedium>()
             .register_type::<lighting::SmokeEnvironment>()
             .register_type::<scattering::SmokeScattering>()
-            .add_plugins((volume::SmokeVolumePlugin, render::SmokeRenderPlugin));
+            .add_plugins((volume::SmokeVolumePlugin, playback::SmokePlaybackPlugin, render::SmokeRenderPlugin));
     }
 }
