@@ -152,3 +152,73 @@ fn warn_of_later_frames(folder: &Path, frames: u32) -> anyhow::Result<()> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::density;
+
+    fn args(output: &Path) -> SimulateArgs {
+        SimulateArgs {
+            size: UVec3::new(8, 12, 10),
+            frames: 2,
+            seed: 5,
+            output: output.into(),
+            fps: 30.0,
+            warmup: 0.0,
+            buoyancy: 3.0,
+            vorticity: 3.0,
+            obstacle: Obstacle::Middle,
+        }
+    }
+
+    #[test]
+    fn frames_read_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let output = dir.path().join("new/plume");
+        run(&args(&output)).unwrap();
+        let shape = GridShape::new(UVec3::new(8, 12, 10));
+        let obstacle = Some(Sphere::in_the_middle(shape));
+        let mut plume = Plume::new(PlumeSettings { seed: 5, obstacle, ..PlumeSettings::new(shape) }).unwrap();
+        for name in ["plume_0001.npy", "plume_0002.npy"] {
+            plume.advance(1.0 / 30.0);
+            let read = density::read(output.join(name), None).unwrap();
+            assert_eq!(read, plume.density());
+            assert!(read.max() > 0.0);
+        }
+        assert_eq!(fs::read_dir(&output).unwrap().count(), 2);
+
+        // A warm-up of one frame's time makes the first frame the second one; files there already are replaced.
+        let second = fs::read(output.join("plume_0002.npy")).unwrap();
+        run(&SimulateArgs { warmup: 1.0 / 30.0, frames: 1, ..args(&output) }).unwrap();
+        assert_eq!(fs::read(output.join("plume_0001.npy")).unwrap(), second);
+    }
+
+    #[test]
+    fn refused_before_any_work() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("file");
+        fs::write(&file, "no folder").unwrap();
+        assert!(run(&args(&file)).unwrap_err().to_string().contains("cannot make the folder"));
+        let output = dir.path().join("plume");
+        let refusal = |args: SimulateArgs| run(&args).unwrap_err().to_string();
+        assert!(refusal(SimulateArgs { size: UVec3::new(4, 96, 48), ..args(&output) }).contains("too small"));
+        assert!(refusal(SimulateArgs { size: UVec3::new(0, 96, 48), ..args(&output) }).contains("empty"));
+        assert!(refusal(SimulateArgs { size: UVec3::splat(u32::MAX), ..args(&output) }).contains("too large"));
+        let at_source = Obstacle::Sphere(Sphere { center: Vec3::new(0.0, -0.4, 0.0), radius: 0.1 });
+        assert!(refusal(SimulateArgs { obstacle: at_source, ..args(&output) }).contains("source"));
+        assert!(!output.exists());
+    }
+
+    #[test]
+    fn options_are_parsed() {
+        assert_eq!(size("48, 96,48"), Ok(UVec3::new(48, 96, 48)));
+        assert!(size("48,96").is_err() && size("48,-96,48").is_err() && size("").is_err());
+        assert_eq!(obstacle("none"), Ok(Obstacle::None));
+        assert_eq!(obstacle("sphere"), Ok(Obstacle::Middle));
+        let sphere = Sphere { center: Vec3::new(-0.1, 0.0, 0.2), radius: 0.1 };
+        assert_eq!(obstacle("-0.1,0,.2,0.1"), Ok(Obstacle::Sphere(sphere)));
+        assert!(obstacle("1,2,3").is_err() && obstacle("box").is_err());
+        assert!(at_least_0("0").is_ok() && at_least_0("-1").is_err() && at_least_0("inf").is_err());
+    }
+}

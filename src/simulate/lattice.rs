@@ -68,35 +68,58 @@ impl Lattice {
     /// The value at a position: trilinear.
     #[inline]
     pub fn sample(&self, position: Vec3) -> f32 {
-        let (corners, t) = self.stencil(position);
-        trilinear(&corners, t)
+        let (low, t) = self.locate(position);
+        let dims = self.shape.dims.as_ivec3();
+        let inside = self.outside == Outside::Nearest || low.cmpge(IVec3::ZERO).all() && low.cmplt(dims - 1).all();
+        trilinear(&if inside { self.corners(low) } else { self.outer_corners(low) }, t)
     }
 
-    /// The eight values around a position, x fastest, and the position between them in 0..1.
+    /// The value at a position: Catmull–Rom's cubic along each axis, kept within the range of the eight points around;
+    /// trilinear within a cell of the box's end.
     #[inline]
-    pub fn stencil(&self, position: Vec3) -> ([f32; 8], Vec3) {
-        let at = position - self.offset;
-        // Conversion cuts off, which is cheaper than rounding down and the same above 0.
-        match self.outside {
-            Outside::Nearest => {
-                let dims = self.shape.dims.as_ivec3();
-                let at = at.clamp(Vec3::ZERO, (dims - 1).as_vec3());
-                // The last pair of points serves the last point too: nearest values need no special case.
-                let low = at.as_ivec3().min(dims - 2);
-                (self.corners(low), at - low.as_vec3())
-            }
-            Outside::Empty => {
-                let dims = self.shape.dims.as_ivec3();
-                let at = at.clamp(Vec3::new(-1.0, 0.0, -1.0), dims.as_vec3());
-                let low = (at + 1.0).as_ivec3() - 1;
-                let inside = low.cmpge(IVec3::ZERO).all() && low.cmplt(dims - 1).all();
-                let corners = if inside { self.corners(low) } else { self.outer_corners(low) };
-                (corners, at - low.as_vec3())
+    pub fn sample_cubic(&self, position: Vec3) -> f32 {
+        let (low, t) = self.locate(position);
+        if !(low.cmpge(IVec3::ONE).all() && low.cmplt(self.shape.dims.as_ivec3() - 2).all()) {
+            return self.sample(position);
+        }
+        let [x, y, z] = t.to_array().map(catmull_rom);
+        let [nx, ny] = [self.shape.dims.x as usize, self.shape.dims.y as usize];
+        let first = self.shape.index((low - 1).as_uvec3());
+        let (mut value, mut least, mut most) = (0.0, f32::INFINITY, f32::NEG_INFINITY);
+        for (k, z) in z.iter().enumerate() {
+            for (j, y) in y.iter().enumerate() {
+                let row = &self.values[first + nx * (j + ny * k)..][..4];
+                value += z * y * (x[0] * row[0] + x[1] * row[1] + (x[2] * row[2] + x[3] * row[3]));
+                if (1..3).contains(&j) && (1..3).contains(&k) {
+                    least = least.min(row[1]).min(row[2]);
+                    most = most.max(row[1]).max(row[2]);
+                }
             }
         }
+        value.clamp(least, most)
     }
 
-    /// The values of the eight points from `low` on, all inside.
+    /// The lowest of the eight points around a position, and the position between them in 0..1.
+    #[inline]
+    fn locate(&self, position: Vec3) -> (IVec3, Vec3) {
+        let at = position - self.offset;
+        let dims = self.shape.dims.as_ivec3();
+        // Conversion cuts off, which is cheaper than rounding down and the same above 0.
+        let (at, low) = match self.outside {
+            Outside::Nearest => {
+                let at = at.clamp(Vec3::ZERO, (dims - 1).as_vec3());
+                // The last pair of points serves the last point too: nearest values need no special case.
+                (at, at.as_ivec3().min(dims - 2))
+            }
+            Outside::Empty => {
+                let at = at.clamp(Vec3::new(-1.0, 0.0, -1.0), dims.as_vec3());
+                (at, (at + 1.0).as_ivec3() - 1)
+            }
+        };
+        (low, at - low.as_vec3())
+    }
+
+    /// The values of the eight points from `low` on, x fastest, all inside.
     #[inline]
     fn corners(&self, low: IVec3) -> [f32; 8] {
         let [nx, ny] = [self.shape.dims.x as usize, self.shape.dims.y as usize];
@@ -118,6 +141,13 @@ impl Lattice {
     }
 }
 
+/// Weights of four values in a row for a position between the middle two.
+#[inline]
+fn catmull_rom(t: f32) -> [f32; 4] {
+    let s = 1.0 - t;
+    [-0.5 * t * s * s, 1.0 + t * t * (1.5 * t - 2.5), 1.0 + s * s * (1.5 * s - 2.5), -0.5 * s * t * t]
+}
+
 /// Calls `value` for every point of a shape, planes of constant z in parallel.
 pub fn fill_planes<T: Send>(shape: GridShape, values: &mut [T], value: impl Fn(UVec3, usize, &mut T) + Sync) {
     let [nx, ny] = [shape.dims.x as usize, shape.dims.y as usize];
@@ -131,7 +161,7 @@ pub fn fill_planes<T: Send>(shape: GridShape, values: &mut [T], value: impl Fn(U
     });
 }
 
-/// Between eight values of a [`stencil`](Lattice::stencil).
+/// Between the values of a cube's corners, x fastest.
 #[inline]
 pub fn trilinear(c: &[f32; 8], t: Vec3) -> f32 {
     let x = |i: usize| c[i] + t.x * (c[i + 1] - c[i]);

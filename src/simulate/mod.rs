@@ -4,7 +4,7 @@
 //! The incompressible Euler equations on a staggered grid (Harlow and Welch 1965), split as Stam 1999, *Stable Fluids*,
 //! splits them; a [`Plume`]'s step is
 //!
-//! 1. **advection** of velocity, density and temperature by MacCormack's scheme;
+//! 1. **advection** of velocity, density and temperature, semi-Lagrangian with limited cubic interpolation;
 //! 2. **emission** at the source, cooling and dissipation;
 //! 3. **forces**: heat lifts, smoke weighs, vorticity confinement returns the eddies that the grid blurs;
 //! 4. **projection**: the pressure that leaves no divergence, by conjugate gradients with multigrid.
