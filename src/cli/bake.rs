@@ -59,7 +59,7 @@ fn fit_error(text: &str) -> Result<f32, String> {
     if error > 0.0 && error < 1.0 { Ok(error) } else { Err("not between 0 and 1".into()) }
 }
 
-pub(super) fn frames_per_second(text: &str) -> Result<f32, String> {
+fn frames_per_second(text: &str) -> Result<f32, String> {
     let fps: f32 = text.parse().map_err(|_| "not a number".to_string())?;
     if fps > 0.0 && fps.is_finite() { Ok(fps) } else { Err("not above 0".into()) }
 }

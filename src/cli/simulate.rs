@@ -8,13 +8,13 @@ use anyhow::Context;
 use clap::Args;
 use glam::{UVec3, Vec3};
 
-use super::bake::{BAR_STEPS, frames_per_second, progress_bar};
+use super::bake::{BAR_STEPS, progress_bar};
 use super::output::{OutputFile, print};
 use crate::density::{GridShape, write_npy};
 use crate::simulate::{Plume, PlumeSettings, Sphere};
 
 pub(super) const EXAMPLES: &str = "\
-Hot smoke rises from a source on the floor and leaves through the sides and the top. The frames are OUT/plume_0001.npy
+Hot smoke rises from a source on the floor and leaves through the sides and the top. The frames are DIR/plume_0001.npy
 and so on, NumPy arrays of densities from 0 to 1 that `smoke bake` reads. Frames of these names that are there already
 are replaced; the folder is made if it is missing.
 
@@ -29,6 +29,9 @@ are replaced; the folder is made if it is missing.
 Lengths are in units of the box's longest side, measured from the box's centre with Y up, as in the space of a
 SmokeVolume: a mesh at the obstacle's place, as a child of the volume, is where the smoke flows around. The same options
 give the same files. The work grows with the number of cells and with speed.";
+
+/// Seconds of warm-up between two looks at the progress bar, at most.
+const WARMUP_STEP: f32 = 1.0 / 30.0;
 
 /// Options of `smoke simulate`.
 #[derive(Args, Debug)]
@@ -46,16 +49,16 @@ pub struct SimulateArgs {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Frames a second
-    #[arg(long, default_value_t = 30.0, value_parser = frames_per_second)]
+    #[arg(long, default_value_t = 30.0, value_parser = |text: &str| within(text, 1.0, 1000.0))]
     fps: f32,
     /// Seconds that pass before the first frame
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = at_least_0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = |text: &str| within(text, 0.0, 3600.0))]
     warmup: f32,
     /// Lift of the hottest smoke, in lengths of the box's longest side a second²
-    #[arg(long, value_name = "LIFT", default_value_t = PlumeSettings::BUOYANCY, value_parser = at_least_0)]
+    #[arg(long, value_name = "LIFT", default_value_t = PlumeSettings::BUOYANCY, value_parser = |text: &str| within(text, 0.0, PlumeSettings::MAX_BUOYANCY))]
     buoyancy: f32,
     /// Strength of vorticity confinement (eddies that the grid would blur), per second
-    #[arg(long, value_name = "RATE", default_value_t = PlumeSettings::VORTICITY, value_parser = at_least_0)]
+    #[arg(long, value_name = "RATE", default_value_t = PlumeSettings::VORTICITY, value_parser = |text: &str| within(text, 0.0, PlumeSettings::MAX_VORTICITY))]
     vorticity: f32,
     /// What the smoke flows around: none, sphere (in the middle of the box), or a sphere's centre and radius
     #[arg(long, value_name = "none|sphere|X,Y,Z,R", default_value = "none", value_parser = obstacle, allow_hyphen_values = true)]
@@ -77,9 +80,9 @@ fn size(text: &str) -> Result<UVec3, String> {
     }
 }
 
-fn at_least_0(text: &str) -> Result<f32, String> {
-    let value: f32 = text.parse().map_err(|_| "not a number".to_string())?;
-    if value >= 0.0 && value.is_finite() { Ok(value) } else { Err("not 0 or more".into()) }
+fn within(text: &str, least: f32, most: f32) -> Result<f32, String> {
+    let value = text.parse().map_err(|_| "not a number".to_string())?;
+    if (least..=most).contains(&value) { Ok(value) } else { Err(format!("not within {least} and {most}")) }
 }
 
 fn obstacle(text: &str) -> Result<Obstacle, String> {
@@ -118,7 +121,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     let started = Instant::now();
     let bar = progress_bar();
     let seconds = 1.0 / args.fps;
-    let warmup = (args.warmup * args.fps).ceil() as u32;
+    let warmup = (args.warmup / WARMUP_STEP).ceil() as u32;
     let total = u64::from(warmup) + u64::from(args.frames);
     let done = |steps: u64| bar.set_position(steps * BAR_STEPS / total);
     bar.set_message("warming up");
@@ -219,6 +222,7 @@ mod tests {
         let sphere = Sphere { center: Vec3::new(-0.1, 0.0, 0.2), radius: 0.1 };
         assert_eq!(obstacle("-0.1,0,.2,0.1"), Ok(Obstacle::Sphere(sphere)));
         assert!(obstacle("1,2,3").is_err() && obstacle("box").is_err());
-        assert!(at_least_0("0").is_ok() && at_least_0("-1").is_err() && at_least_0("inf").is_err());
+        assert_eq!(within("0.5", 0.0, 1.0), Ok(0.5));
+        assert!(["-1", "1.1", "nan", "inf", "x"].iter().all(|text| within(text, 0.0, 1.0).is_err()));
     }
 }

@@ -37,10 +37,12 @@ pub const MIN_SIDE: u32 = 8;
 /// The most cells of a box.
 pub const MAX_CELLS: u64 = 1 << 24;
 
-/// The most cells that anything crosses in one step: a frame takes as many steps as that needs.
+/// The most cells that anything crosses in a step.
 const MAX_COURANT: f32 = 2.5;
-/// Steps that a frame takes at most; faster flow than that is followed less accurately.
-const MAX_STEPS: u32 = 16;
+/// The longest step in seconds, for smoke that is still to gather speed.
+const LONGEST_STEP: f32 = 1.0 / 24.0;
+/// The shortest step in seconds: faster flow, which no setting in its range makes last, is followed less accurately.
+const SHORTEST_STEP: f32 = 1.0 / 2000.0;
 /// Smoke's weight over the lift of the hottest smoke, both at density and temperature 1.
 const WEIGHT: f32 = 0.15;
 /// Rate at which smoke cools, per second.
@@ -64,9 +66,9 @@ pub struct PlumeSettings {
     pub shape: GridShape,
     /// Seed of the source's random puffs.
     pub seed: u64,
-    /// Acceleration of the hottest smoke, in lengths of the box's longest side a second², at least 0.
+    /// Acceleration of the hottest smoke, in lengths of the box's longest side a second², 0 to [`MAX_BUOYANCY`](Self::MAX_BUOYANCY).
     pub buoyancy: f32,
-    /// Strength of vorticity confinement, per second, at least 0; 0 is none.
+    /// Strength of vorticity confinement, per second, 0 (none) to [`MAX_VORTICITY`](Self::MAX_VORTICITY).
     pub vorticity: f32,
     /// A solid sphere that the smoke flows around.
     pub obstacle: Option<Sphere>,
@@ -77,6 +79,10 @@ impl PlumeSettings {
     pub const BUOYANCY: f32 = 3.0;
     /// The default strength of vorticity confinement.
     pub const VORTICITY: f32 = 3.0;
+    /// The most buoyancy.
+    pub const MAX_BUOYANCY: f32 = 100.0;
+    /// The strongest vorticity confinement: much more would feed the eddies faster than they fade.
+    pub const MAX_VORTICITY: f32 = 20.0;
 
     /// A lively plume in a box of the given cells, with nothing in it.
     pub const fn new(shape: GridShape) -> Self {
@@ -93,9 +99,9 @@ pub enum PlumeError {
     /// Too many cells.
     #[error("a box of {0} cells is too large: {MAX_CELLS} cells (256³) are the most")]
     TooLarge(UVec3),
-    /// A setting is negative or not finite.
-    #[error("{0} is {1}: it has to be at least 0, and finite")]
-    Negative(&'static str, f32),
+    /// A setting is out of its range.
+    #[error("{0} is {1}: it takes 0 to {2}")]
+    OutOfRange(&'static str, f32, f32),
     /// The obstacle is no sphere.
     #[error("an obstacle's position has to be finite, and its radius above 0")]
     NoSphere,
@@ -134,9 +140,12 @@ impl Plume {
         if dims.to_array().iter().try_fold(1u64, |n, &side| n.checked_mul(side.into())).is_none_or(|n| n > MAX_CELLS) {
             return Err(PlumeError::TooLarge(dims));
         }
-        for (name, value) in [("buoyancy", settings.buoyancy), ("vorticity", settings.vorticity)] {
-            if !(value >= 0.0 && value.is_finite()) {
-                return Err(PlumeError::Negative(name, value));
+        for (name, value, most) in [
+            ("buoyancy", settings.buoyancy, PlumeSettings::MAX_BUOYANCY),
+            ("vorticity", settings.vorticity, PlumeSettings::MAX_VORTICITY),
+        ] {
+            if !(0.0..=most).contains(&value) {
+                return Err(PlumeError::OutOfRange(name, value, most));
             }
         }
         let source = Source::new(shape, settings.seed);
@@ -176,12 +185,19 @@ impl Plume {
         })
     }
 
-    /// Goes on by some time, in as many steps as accuracy needs.
+    /// Goes on by some time (above 0), in as many steps as accuracy needs.
     pub fn advance(&mut self, seconds: f32) {
-        let cells = self.velocity.max() * seconds * self.settings.shape.longest() as f32;
-        let steps = (cells / MAX_COURANT).ceil().clamp(1.0, MAX_STEPS as f32);
-        for _ in 0..steps as u32 {
-            self.step(seconds / steps);
+        let mut left = seconds;
+        loop {
+            let cells_per_second = self.velocity.max() * self.settings.shape.longest() as f32;
+            let longest = (MAX_COURANT / cells_per_second).clamp(SHORTEST_STEP, LONGEST_STEP);
+            // Equal steps, as far as can be told now: no sliver at the end.
+            let steps = (left / longest).ceil().max(1.0);
+            self.step(left / steps);
+            if steps == 1.0 {
+                return;
+            }
+            left -= left / steps;
         }
     }
 

@@ -226,6 +226,7 @@ fn refusals() {
     assert!(refusal(PlumeSettings { buoyancy: -1.0, ..settings(8, 8, 8) }).contains("buoyancy is -1"));
     assert!(refusal(PlumeSettings { vorticity: f32::NAN, ..settings(8, 8, 8) }).contains("vorticity is NaN"));
     let with = |center, radius| PlumeSettings { obstacle: Some(Sphere { center, radius }), ..settings(8, 16, 8) };
+    assert!(refusal(PlumeSettings { vorticity: 1000.0, ..settings(8, 8, 8) }).contains("vorticity is 1000"));
     assert!(refusal(with(Vec3::ZERO, 0.0)).contains("radius above 0"));
     assert!(refusal(with(Vec3::NAN, 0.1)).contains("finite"));
     assert!(refusal(with(Vec3::new(0.0, -0.4, 0.0), 0.1)).contains("too close to the source"));
