@@ -1,6 +1,7 @@
 //! `smoke simulate`: a plume to try the plug-in with.
 
 use std::fs;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -49,16 +50,16 @@ pub struct SimulateArgs {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Frames a second
-    #[arg(long, default_value_t = 30.0, value_parser = |text: &str| within(text, 1.0, 1000.0))]
+    #[arg(long, default_value_t = 30.0, value_parser = within(1.0..=1000.0))]
     fps: f32,
     /// Seconds that pass before the first frame
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = |text: &str| within(text, 0.0, 3600.0))]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = within(0.0..=3600.0))]
     warmup: f32,
     /// Lift of the hottest smoke, in lengths of the box's longest side a second²
-    #[arg(long, value_name = "LIFT", default_value_t = PlumeSettings::BUOYANCY, value_parser = |text: &str| within(text, 0.0, PlumeSettings::MAX_BUOYANCY))]
+    #[arg(long, value_name = "LIFT", default_value_t = PlumeSettings::BUOYANCY, value_parser = within(0.0..=PlumeSettings::MAX_BUOYANCY))]
     buoyancy: f32,
     /// Strength of vorticity confinement (eddies that the grid would blur), per second
-    #[arg(long, value_name = "RATE", default_value_t = PlumeSettings::VORTICITY, value_parser = |text: &str| within(text, 0.0, PlumeSettings::MAX_VORTICITY))]
+    #[arg(long, value_name = "RATE", default_value_t = PlumeSettings::VORTICITY, value_parser = within(0.0..=PlumeSettings::MAX_VORTICITY))]
     vorticity: f32,
     /// What the smoke flows around: none, sphere (in the middle of the box), or a sphere's centre and radius
     #[arg(long, value_name = "none|sphere|X,Y,Z,R", default_value = "none", value_parser = obstacle, allow_hyphen_values = true)]
@@ -80,9 +81,15 @@ fn size(text: &str) -> Result<UVec3, String> {
     }
 }
 
-fn within(text: &str, least: f32, most: f32) -> Result<f32, String> {
-    let value = text.parse().map_err(|_| "not a number".to_string())?;
-    if (least..=most).contains(&value) { Ok(value) } else { Err(format!("not within {least} and {most}")) }
+fn within(range: RangeInclusive<f32>) -> impl Fn(&str) -> Result<f32, String> + Clone {
+    move |text| {
+        let value = text.parse().map_err(|_| "not a number".to_string())?;
+        if range.contains(&value) {
+            Ok(value)
+        } else {
+            Err(format!("not within {} and {}", range.start(), range.end()))
+        }
+    }
 }
 
 fn obstacle(text: &str) -> Result<Obstacle, String> {
@@ -222,7 +229,7 @@ mod tests {
         let sphere = Sphere { center: Vec3::new(-0.1, 0.0, 0.2), radius: 0.1 };
         assert_eq!(obstacle("-0.1,0,.2,0.1"), Ok(Obstacle::Sphere(sphere)));
         assert!(obstacle("1,2,3").is_err() && obstacle("box").is_err());
-        assert_eq!(within("0.5", 0.0, 1.0), Ok(0.5));
-        assert!(["-1", "1.1", "nan", "inf", "x"].iter().all(|text| within(text, 0.0, 1.0).is_err()));
+        assert_eq!(within(0.0..=1.0)("0.5"), Ok(0.5));
+        assert!(["-1", "1.1", "nan", "inf", "x"].iter().all(|text| within(0.0..=1.0)(text).is_err()));
     }
 }
