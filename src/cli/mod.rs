@@ -45,7 +45,8 @@ enum Cli {
 
 const OVERVIEW: &str = "\
 From a simulation to a picture with a known error:
-  smoke bake plume_0031.vdb -o plume.smoke --rbfs 600
+  smoke simulate -o frames
+  smoke bake frames/plume_0050.npy -o plume.smoke --rbfs 600
   smoke info plume.smoke
   smoke render plume.smoke -o plume.exr --scene scene.json
   smoke compare plume.exr full_a.exr full_b.exr --alpha alpha.exr
