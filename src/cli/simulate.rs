@@ -87,7 +87,7 @@ fn within(range: RangeInclusive<f32>) -> impl Fn(&str) -> Result<f32, String> + 
         if range.contains(&value) {
             Ok(value)
         } else {
-            Err(format!("not within {} and {}", range.start(), range.end()))
+            Err(format!("not between {} and {}", range.start(), range.end()))
         }
     }
 }
