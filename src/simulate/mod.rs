@@ -201,6 +201,7 @@ impl Plume {
         }
     }
 
+    /// One step of the splitting in the module's documentation.
     fn step(&mut self, seconds: f32) {
         let step = seconds * self.settings.shape.longest() as f32;
         let carrier = self.velocity.clone();
@@ -211,9 +212,8 @@ impl Plume {
 
         let PlumeSettings { shape, buoyancy, vorticity, .. } = self.settings;
         let weight = WEIGHT * buoyancy;
-        let acceleration =
+        let mut acceleration =
             forces::acceleration(&self.velocity, &self.density, &self.temperature, buoyancy, weight, vorticity);
-        let mut acceleration = acceleration;
         let restlessness = RESTLESSNESS * buoyancy;
         lattice::fill_planes(shape, &mut acceleration, |cell, _, acceleration| {
             if let Some(emission) = self.source.emission(shape.center(cell), self.seconds as f32) {
@@ -222,10 +222,7 @@ impl Plume {
         });
         forces::accelerate(&mut self.velocity, shape, seconds, &acceleration);
 
-        let n = self.pressure.project(&mut self.velocity);
-        if std::env::var("DBG").is_ok() {
-            eprintln!("iterations {n} vmax {}", self.velocity.max());
-        }
+        self.pressure.project(&mut self.velocity);
         for (face, extension) in self.velocity.faces.iter_mut().zip(&self.extensions) {
             extension.apply(&mut face.values);
         }
