@@ -7,6 +7,7 @@
 mod frame;
 mod parts;
 mod picture;
+mod process;
 mod report;
 mod sequence;
 mod survey;
@@ -26,6 +27,7 @@ use crate::residual::ResidualError;
 
 use frame::{FinishedFrame, Step, finish};
 pub use picture::{PictureError, picture_error};
+pub use process::{VdbBaker, VdbBakerSettings};
 pub use report::{
     BytesReport, FitSeconds, FitSummary, FrameReport, InputReport, ResidualReport, SequenceReport, SourceReport,
     StageSeconds, SummaryReport,
