@@ -20,7 +20,7 @@ use std::io::Cursor;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use crate::bundle::{self, BundleError, FrameError, BundleHeader, BundleWriter, SmokeAnimation, WriteError};
+use crate::bundle::{self, BundleError, BundleHeader, BundleWriter, FrameError, SmokeAnimation, WriteError};
 use crate::density::{DensityError, DensityGrid};
 use crate::rbf::fit::{FitError, FitProgress, FitTarget};
 use crate::residual::ResidualError;

@@ -93,13 +93,7 @@ pub(super) struct PartFigures {
 }
 
 impl PartFigures {
-    pub fn new(
-        uncompressed: u64,
-        max_density: f32,
-        next_id: u32,
-        reference: Option<f32>,
-        report: FrameReport,
-    ) -> Self {
+    pub fn new(uncompressed: u64, max_density: f32, next_id: u32, reference: Option<f32>, report: FrameReport) -> Self {
         let max_density = max_density.to_bits();
         Self { uncompressed, max_density, next_id, reference: reference.map(f32::to_bits), report }
     }
@@ -141,7 +135,8 @@ impl WorkFolder {
 
     /// The survey of an earlier run of the same job. The folder of another one is emptied; the second value tells.
     pub fn resume(&self, job: &Job) -> Result<(Option<Survey>, bool), BakeError> {
-        let found: Option<Manifest> = fs::read(self.manifest()).ok().and_then(|text| serde_json::from_slice(&text).ok());
+        let found: Option<Manifest> =
+            fs::read(self.manifest()).ok().and_then(|text| serde_json::from_slice(&text).ok());
         if let Some(Manifest { job: found, survey }) = found
             && found == *job
         {

@@ -53,7 +53,12 @@ pub(super) fn survey(inputs: &[PathBuf], grid: Option<&str>, done: &(dyn Fn() + 
             Ok(outline)
         })
         .collect::<Result<_, BakeError>>()?;
-    let mut found = inputs.iter().zip(&outlines).filter_map(|(path, outline)| Some((path, outline.as_ref()?)));
+    combine(inputs, &outlines)
+}
+
+/// The box of all. Inputs without active voxels have no outline.
+fn combine(inputs: &[PathBuf], outlines: &[Option<Outline>]) -> Result<Survey, BakeError> {
+    let mut found = inputs.iter().zip(outlines).filter_map(|(path, outline)| Some((path, outline.as_ref()?)));
     let Some((first_path, first)) = found.next() else {
         let problem = format!("{}: no input has any active voxels", inputs[0].display());
         return Err(BakeError::Inputs(problem));
@@ -89,7 +94,8 @@ fn check_grid(a: (&Path, &Outline), b: (&Path, &Outline)) -> Result<(), BakeErro
     // Voxels of the farthest corner stay where they are.
     let reach = f64::from(a.shape.longest().max(b.shape.longest()));
     if (size_b / size_a - 1.0).abs() * reach > ALIGNMENT {
-        let problem = format!("voxels of {path_b} have size {size_b}, those of {path_a} {size_a}: all frames need the same");
+        let problem =
+            format!("voxels of {path_b} have size {size_b}, those of {path_a} {size_a}: all frames need the same");
         return Err(BakeError::Inputs(problem));
     }
     let apart = (b.origin() - a.origin()) / size_a;
@@ -132,5 +138,53 @@ fn read(path: &Path, grid: Option<&str>) -> Result<Option<DensityGrid>, BakeErro
         Ok(grid) => Ok(Some(grid)),
         Err(DensityError::File { source, .. }) if matches!(*source, DensityError::Empty(_)) => Ok(None),
         Err(error) => Err(error.into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::UVec3;
+
+    use super::*;
+
+    /// A box of a grid whose voxel of index 0 has its lower corner at (1, 2, 3).
+    fn outline(min: [i32; 3], dims: [u32; 3], voxel_size: f64) -> Option<Outline> {
+        let (min, dims) = (IVec3::from_array(min), UVec3::from_array(dims));
+        let center = DVec3::new(1.0, 2.0, 3.0) + voxel_size * (min.as_dvec3() + 0.5 * dims.as_dvec3());
+        Some(Outline { min, shape: GridShape::new(dims), placement: Placement { center, voxel_size }, smoke: true })
+    }
+
+    fn combined(outlines: &[Option<Outline>]) -> Result<Survey, String> {
+        let inputs: Vec<PathBuf> = ["a.vdb", "b.vdb", "c.vdb"].map(PathBuf::from).into();
+        combine(&inputs[..outlines.len()], outlines).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn the_box_holds_all_boxes() {
+        let outlines = [None, outline([-3, 10, 0], [4, 5, 6], 0.5), outline([-1, 2, 3], [4, 5, 9], 0.5)];
+        let survey = combined(&outlines).unwrap();
+        assert_eq!((survey.min, survey.shape.dims), (IVec3::new(-3, 2, 0), UVec3::new(6, 13, 12)));
+        assert_eq!(survey.first_smoke, 1);
+        let corner = survey.placement.center - 0.25 * survey.shape.dims.as_dvec3();
+        assert_eq!(corner, DVec3::new(1.0 - 1.5, 2.0 + 1.0, 3.0));
+    }
+
+    #[test]
+    fn frames_of_different_grids_are_refused() {
+        let first = || outline([0, 0, 0], [8, 8, 8], 0.5);
+        let refusal = |other| combined(&[first(), first(), other]).unwrap_err();
+        let sizes = refusal(outline([0, 0, 0], [8, 8, 8], 0.6));
+        assert!(sizes.contains("c.vdb have size 0.6, those of a.vdb 0.5"), "{sizes}");
+        let mut moved = outline([0, 0, 0], [8, 8, 8], 0.5);
+        moved.as_mut().unwrap().placement.center.y += 0.25;
+        let apart = refusal(moved);
+        assert!(
+            apart.contains("a.vdb") && apart.contains("c.vdb") && apart.contains("0.5, 0] voxels apart"),
+            "{apart}"
+        );
+        assert!(refusal(outline([5000, 0, 0], [8, 8, 8], 0.5)).contains("a side has at most"));
+        assert!(combined(&[None, None]).unwrap_err().contains("no input has any active voxels"));
+        // Rounding in a file is no difference.
+        assert!(combined(&[first(), outline([0, 0, 0], [8, 8, 8], 0.5 + 1e-9)]).is_ok());
     }
 }
