@@ -13,7 +13,8 @@ use super::{FitError, FitProgress, FitReport, FitStage, WEIGHT, check, relative_
 use crate::density::GridShape;
 use crate::rbf::{Rbf, RbfModel};
 
-/// Share of the Gaussians that is deleted before a frame is fitted: the least significant.
+/// Share of the Gaussians that is deleted before a frame is fitted: the least significant. Rounded down: few Gaussians are
+/// all needed.
 const DELETED: f64 = 0.02;
 /// Share of the Gaussians that a frame better than its limit may lose, where as few are wanted as it takes.
 const TRIMMED: f64 = 0.1;
@@ -124,7 +125,7 @@ impl<'a> Track<'a> {
     fn run(&mut self, settings: &FollowSettings) {
         let started = Instant::now();
         let FollowSettings { limit, max_rbfs, trim } = *settings;
-        let few = (self.indices.len() as f64 * DELETED).ceil() as usize;
+        let few = (self.indices.len() as f64 * DELETED) as usize;
         self.delete(few.max(self.indices.len().saturating_sub(max_rbfs)));
 
         let factor = self.search.shape.longest().div_ceil(MIDDLE);
