@@ -22,8 +22,8 @@ const TRIMMED: f64 = 0.1;
 const GROWTH: f64 = 1.4;
 const BATCHES: u32 = 12;
 /// Iterations of the minimiser from the frame before, after a batch, and on the full grid.
-const MOVE_ITERATIONS: u32 = 20;
-const INSERT_ITERATIONS: u32 = 12;
+const MOVE_ITERATIONS: u32 = 60;
+const INSERT_ITERATIONS: u32 = 30;
 const POLISH_ITERATIONS: u32 = 8;
 /// Power of the count with which errors fall, for guesses of how many are missing.
 const POWER: f64 = 0.35;
