@@ -144,6 +144,8 @@ mod tests {
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--error", "0.1", "--rbfs", "9"], "cannot be used with"),
             (&["smoke", "study", "cube"], "cube"),
             (&["smoke", "study", "sphere", "--paths", "0"], "--paths"),
+            (&["smoke", "study", "flicker", "a.smoke"], "--density"),
+            (&["smoke", "study", "flicker", "a.smoke", "--density", "a.vdb"], "2 values required"),
         ] {
             let line = usage(arguments);
             assert!(line.contains(expected) && !line.contains('\n'), "{line}");

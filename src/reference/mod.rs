@@ -5,10 +5,10 @@
 //! is extinction per bundle unit, σ_t times the world length of the box's longest side.
 //!
 //! Beside the passes: [`single`], single scattering without any of the method's approximations, [`voxel_single`], the same
-//! fast enough for every frame of an animation, [`path`], a path tracer for any number of scattering events and any light,
-//! [`flicker`], how much less steadily than the truth an animation is drawn, [`paper`], the method of Zhou et al. 2008 as printed, [`diffusion`],
-//! its diffusion equation put right and solved on a grid, [`sphere`], which tells the two apart, and [`compare`], the error
-//! of an image.
+//! fast enough for every frame of an animation, [`path`], a path tracer for any number of scattering events and any
+//! light, [`paper`], the method of Zhou et al. 2008 as printed, [`diffusion`], its diffusion equation put right and solved
+//! on a grid, [`sphere`], which tells the two apart, [`compare`], the error of an image, and [`flicker`], that of an
+//! animation over time.
 
 pub mod coarse;
 pub mod compare;
