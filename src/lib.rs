@@ -53,6 +53,7 @@ pub mod medium;
 pub mod optics;
 #[cfg(feature = "reference")]
 pub mod paper;
+pub mod playback;
 mod random;
 pub mod rbf;
 #[cfg(feature = "reference")]
@@ -74,6 +75,7 @@ pub mod prelude {
     pub use crate::bundle::SmokeAnimation;
     pub use crate::lighting::SmokeEnvironment;
     pub use crate::medium::SmokeMedium;
+    pub use crate::playback::SmokePlayback;
     pub use crate::scattering::{ScatteringEvents, ScatteringSolver, SmokeScattering};
     pub use crate::volume::SmokeVolume;
 }
@@ -87,12 +89,14 @@ impl Plugin for SmokePlugin {
     fn build(&self, app: &mut App) {
         #[cfg(feature = "reference")]
         app.register_type::<paper::SmokePaper>();
+        #[cfg(feature = "bake")]
+        app.register_asset_processor(bake::VdbBaker).set_default_asset_processor::<bake::VdbBaker>("vdb");
         app.init_asset::<bundle::SmokeAnimation>()
             .init_asset_loader::<bundle::SmokeAnimationLoader>()
             .register_type::<volume::SmokeVolume>()
             .register_type::<medium::SmokeMedium>()
             .register_type::<lighting::SmokeEnvironment>()
             .register_type::<scattering::SmokeScattering>()
-            .add_plugins((volume::SmokeVolumePlugin, render::SmokeRenderPlugin));
+            .add_plugins((volume::SmokeVolumePlugin, playback::SmokePlaybackPlugin, render::SmokeRenderPlugin));
     }
 }

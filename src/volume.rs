@@ -7,6 +7,7 @@ use bevy::prelude::*;
 use crate::bundle::SmokeAnimation;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
+use crate::playback::{SmokeMoment, SmokePlayback};
 use crate::scattering::SmokeScattering;
 
 /// A volume of smoke.
@@ -20,19 +21,26 @@ use crate::scattering::SmokeScattering;
 /// whole, the one whose centre is farther from the camera first; they do not shade each other.
 #[derive(Component, Clone, Debug, Default, PartialEq, Reflect)]
 #[reflect(Component, Default, Debug, Clone, PartialEq)]
-#[require(SmokeMedium, SmokeEnvironment, SmokeScattering, Transform, Visibility, VisibilityClass)]
+#[require(
+    SmokePlayback,
+    SmokeMoment,
+    SmokeMedium,
+    SmokeEnvironment,
+    SmokeScattering,
+    Transform,
+    Visibility,
+    VisibilityClass
+)]
 #[component(on_add = visibility::add_visibility_class::<SmokeVolume>)]
 pub struct SmokeVolume {
     /// The baked smoke.
     pub animation: Handle<SmokeAnimation>,
-    /// Which frame of it is shown, from 0; past the end the last one is.
-    pub frame: u32,
 }
 
 impl SmokeVolume {
-    /// The first frame of an animation.
+    /// Smoke that plays an animation: how is up to its [`SmokePlayback`].
     pub fn new(animation: Handle<SmokeAnimation>) -> Self {
-        Self { animation, frame: 0 }
+        Self { animation }
     }
 }
 

@@ -3,12 +3,12 @@
 //! [`bake`] ends by reading back what it wrote: every figure of [`BakeReport`] is measured on what a game will load.
 
 mod picture;
+mod process;
 mod report;
 #[cfg(test)]
 mod tests;
 mod verify;
 
-use std::sync::Arc;
 use std::time::Instant;
 
 use crate::bundle::{self, BundleError, SmokeAnimation, SmokeFrame};
@@ -18,6 +18,7 @@ use crate::residual::{HashedResidual, QuantizationLaw, ResidualError};
 
 use picture::Picture;
 pub use picture::{PictureError, picture_error};
+pub use process::{VdbBaker, VdbBakerSettings};
 pub use report::{BakeReport, BytesReport, FitSeconds, FitSummary, ResidualReport, SourceReport, StageSeconds};
 pub use verify::{QuantizationReport, Worst};
 
@@ -110,7 +111,7 @@ pub fn bake(grid: &DensityGrid, settings: &BakeSettings, progress: &dyn Fn(BakeP
 
     progress(BakeProgress::Residual);
     let residual = quantize(grid, &rbfs.rasterize(grid.shape), settings.residual_exponent)?;
-    let frame = SmokeFrame { rbfs, residual };
+    let frame = SmokeFrame::new(rbfs, residual);
     let residual = clock.lap();
 
     progress(BakeProgress::Compressing);
@@ -120,13 +121,13 @@ pub fn bake(grid: &DensityGrid, settings: &BakeSettings, progress: &dyn Fn(BakeP
         placement: grid.placement,
         frames_per_second: settings.frames_per_second,
         max_density,
-        frames: vec![Arc::new(frame)],
+        frames: vec![frame].into(),
     })?;
     let compress = clock.lap();
 
     progress(BakeProgress::Verifying);
     let animation = bundle::read(&file)?;
-    let frame = &animation.frames[0];
+    let frame = animation.frames.get(0).expect("the one that has been written");
     let quantization = QuantizationReport::measure(&grid.values, frame);
     // Half a step is exact but for the rounding of a 32-bit number.
     if quantization.worst_half_steps.error > 1.0 {

@@ -29,6 +29,10 @@ fn bake_quietly(grid: &DensityGrid, settings: &BakeSettings) -> Baked {
     bake(grid, settings, &|_| {}).unwrap()
 }
 
+fn frame(animation: &SmokeAnimation) -> &SmokeFrame {
+    animation.frames.get(0).unwrap()
+}
+
 #[test]
 fn the_bundle_decodes_to_the_grid() {
     let grid = grid();
@@ -42,7 +46,7 @@ fn the_bundle_decodes_to_the_grid() {
         // Thousands of cells: some residual lies near the middle of two codes.
         assert!((0.8..=1.0).contains(&half_steps), "{half_steps}");
         // What the GPU will add up in 32 bits, against the input: the worst reported error plus the rounding of the sum.
-        let decoded = animation.frames[0].decode();
+        let decoded = frame(&animation).decode();
         let worst = grid.values.iter().zip(&decoded).map(|(d, x)| f64::from((d - x).abs())).fold(0.0, f64::max);
         assert!(worst <= report.quantization.worst_density.error + 1e-6, "{worst}");
         assert_eq!(animation.max_density, decoded.iter().copied().fold(0.0, f32::max));
@@ -57,7 +61,7 @@ fn the_bundle_decodes_to_the_grid() {
 fn the_report_agrees_with_the_bundle() {
     let grid = grid();
     let Baked { animation, file, report } = bake_quietly(&grid, &settings());
-    let frame = &animation.frames[0];
+    let frame = frame(&animation);
     assert_eq!((report.source.active_voxels, report.source.leaves, report.source.dims), (77, 5, [18, 24, 15]));
     assert_eq!(report.source.max_density, grid.max());
     assert!(report.source.min_density > 0.01);
@@ -83,7 +87,7 @@ fn no_smoke_is_fine() {
     let mut grid = grid();
     grid.values.fill(0.0);
     let Baked { animation, report, .. } = bake_quietly(&grid, &settings());
-    assert!(animation.frames[0].decode().iter().all(|&d| d == 0.0));
+    assert!(frame(&animation).decode().iter().all(|&d| d == 0.0));
     assert_eq!((report.fit.error, report.quantization.rms_relative, report.picture.quantized), (0.0, 0.0, 0.0));
     assert_eq!(report.source.min_density, 0.0);
 }

@@ -9,7 +9,7 @@ pub enum BundleError {
     #[error("not a .smoke file")]
     NotABundle,
     /// A version this library does not know.
-    #[error("version {0} of the .smoke format; this library reads version 1: update it, or bake the smoke again")]
+    #[error("version {0} of the .smoke format; this library reads version 2: update it, or bake the smoke again")]
     Version(u32),
     /// The file ends too early.
     #[error("the file ends inside the {part}: it has {found} bytes and needs {expected}")]

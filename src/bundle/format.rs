@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DVec3, UVec3};
 
 use super::frame::{self, max_frame_bytes};
-use super::{BundleError, FrameError, SmokeAnimation, SmokeFrame};
+use super::{BundleError, FrameError, SmokeAnimation, SmokeFrame, SmokeFrames};
 use crate::density::{GridShape, Placement};
 
 /// Cells along a side of the box, at most.
@@ -14,16 +14,18 @@ pub const MAX_SIDE: u32 = 4096;
 pub const MAX_CELLS: u64 = 1 << 28;
 /// Frames in a file, at most.
 pub const MAX_FRAMES: u32 = 65_536;
-/// Decompressed bytes of all frames together, at most: 8 GiB.
-pub const MAX_TOTAL_BYTES: u64 = 8 << 30;
+
+/// Decompressed bytes that [`read`] takes into memory, at most: 8 GiB.
+const MAX_IN_MEMORY: u64 = 8 << 30;
 
 /// The first byte is not ASCII and the last two are a line end, so that transfers as text are caught.
 const MAGIC: [u8; 8] = *b"\x89SMOKE\r\n";
-const VERSION: u32 = 1;
+/// The version of the format that this library reads and writes.
+pub const VERSION: u32 = 2;
 const TABLE_ENTRY: usize = 32;
 const CHECKSUM: usize = 4;
 
-/// Reads a whole file.
+/// Reads a whole file, all frames into memory. [`BundleHeader`] reads frames one by one, however many there are.
 ///
 /// # Errors
 ///
@@ -31,26 +33,17 @@ const CHECKSUM: usize = 4;
 /// those within what the claimed box of cells permits.
 pub fn read(bytes: &[u8]) -> Result<SmokeAnimation, BundleError> {
     let header = BundleHeader::read(bytes)?;
-    let (expected, found) = (header.file_length(), bytes.len() as u64);
-    if found > expected {
-        return Err(BundleError::TrailingBytes(found - expected));
+    header.check_length(bytes.len() as u64)?;
+    let total: u64 = header.frames.iter().map(|entry| entry.uncompressed).sum();
+    if total > MAX_IN_MEMORY {
+        let problem = format!("{total} bytes uncompressed in all, too many to hold at once: read frame by frame");
+        return Err(BundleError::header("frames", problem));
     }
     let mut frames = Vec::new();
-    for (index, entry) in header.frames.iter().enumerate() {
-        let end = entry.offset + entry.length;
-        if end > found {
-            return Err(BundleError::Truncated { part: "frames", expected, found });
-        }
-        // Both fit in usize, for they lie within `bytes`.
-        frames.push(Arc::new(header.read_frame(index, &bytes[entry.offset as usize..end as usize])?));
+    for index in 0..header.frames.len() {
+        frames.push(Arc::new(header.read_frame_of(bytes, index)?));
     }
-    Ok(SmokeAnimation {
-        shape: header.shape,
-        placement: header.placement,
-        frames_per_second: header.frames_per_second,
-        max_density: header.max_density,
-        frames,
-    })
+    Ok(header.animation(SmokeFrames::Memory(frames)))
 }
 
 /// The bytes of a file holding `animation`.
@@ -60,13 +53,14 @@ pub fn read(bytes: &[u8]) -> Result<SmokeAnimation, BundleError> {
 /// An animation that breaks a limit of the format, so that [`read`] would refuse it.
 #[cfg(feature = "bake")]
 pub fn write(animation: &SmokeAnimation) -> Result<Vec<u8>, BundleError> {
-    if animation.frames.len() > MAX_FRAMES as usize {
-        return Err(BundleError::header("frame_count", format!("{} is above {MAX_FRAMES}", animation.frames.len())));
+    let SmokeFrames::Memory(frames) = &animation.frames;
+    if frames.len() > MAX_FRAMES as usize {
+        return Err(BundleError::header("frame_count", format!("{} is above {MAX_FRAMES}", frames.len())));
     }
     let mut entries = Vec::new();
     let mut data = Vec::new();
-    let start = BundleHeader::length_with(animation.frames.len());
-    for (index, smoke) in animation.frames.iter().enumerate() {
+    let start = BundleHeader::length_with(frames.len());
+    for (index, smoke) in frames.iter().enumerate() {
         if smoke.residual.shape() != animation.shape {
             return Err(FrameError::field("residual", "its box is not the animation's").at(index));
         }
@@ -147,7 +141,7 @@ impl BundleHeader {
         if flags != 0 {
             return Err(BundleError::header(
                 "flags",
-                format!("{flags:#010x} has bits set that version 1 does not know"),
+                format!("{flags:#010x} has bits set that version {VERSION} does not know"),
             ));
         }
         let length = fields.u32();
@@ -203,6 +197,47 @@ impl BundleHeader {
         }
         let frames = read_table(table, count, length as u64, shape)?;
         Ok(Self { shape, placement: Placement { center, voxel_size }, frames_per_second, max_density, frames })
+    }
+
+    /// An animation of these frames, in the header's box.
+    pub fn animation(&self, frames: SmokeFrames) -> SmokeAnimation {
+        SmokeAnimation {
+            shape: self.shape,
+            placement: self.placement,
+            frames_per_second: self.frames_per_second,
+            max_density: self.max_density,
+            frames,
+        }
+    }
+
+    /// Whether a file has the bytes that its header says.
+    ///
+    /// # Errors
+    ///
+    /// It has more or fewer.
+    pub fn check_length(&self, found: u64) -> Result<(), BundleError> {
+        let expected = self.file_length();
+        match found.checked_sub(expected) {
+            Some(0) => Ok(()),
+            Some(more) => Err(BundleError::TrailingBytes(more)),
+            None => Err(BundleError::Truncated { part: "frames", expected, found }),
+        }
+    }
+
+    /// Reads frame `index` from a whole file.
+    ///
+    /// # Errors
+    ///
+    /// There is no such frame, the file ends before it does, or it is damaged or breaks a rule of the format.
+    pub fn read_frame_of(&self, file: &[u8], index: usize) -> Result<SmokeFrame, BundleError> {
+        let entry = self.frames.get(index).ok_or(FrameError::Missing(self.frames.len()).at(index))?;
+        let end = entry.offset + entry.length;
+        let (expected, found) = (self.file_length(), file.len() as u64);
+        if end > found {
+            return Err(BundleError::Truncated { part: "frames", expected, found });
+        }
+        // Both fit in usize, for they lie within the file.
+        self.read_frame(index, &file[entry.offset as usize..end as usize])
     }
 
     /// Reads frame `index` from its bytes: `length` of them from `offset` of its [`FrameEntry`].
@@ -284,7 +319,7 @@ pub(crate) fn check_shape(GridShape { dims }: GridShape) -> Result<(), BundleErr
 
 /// Frames follow the header and each other without gaps, so that no byte is read twice or not at all.
 fn read_table(table: &[u8], count: usize, start: u64, shape: GridShape) -> Result<Vec<FrameEntry>, BundleError> {
-    let (mut end, mut total) = (start, 0u64);
+    let mut end = start;
     let mut frames = Vec::with_capacity(count);
     for (index, entry) in table.chunks_exact(TABLE_ENTRY).enumerate() {
         let mut fields = Fields(entry);
@@ -308,12 +343,7 @@ fn read_table(table: &[u8], count: usize, start: u64, shape: GridShape) -> Resul
             return fault("reserved", "not 0".into());
         }
         end += entry.length;
-        total += entry.uncompressed;
         frames.push(entry);
-    }
-    if total > MAX_TOTAL_BYTES {
-        let problem = format!("{total} bytes uncompressed in all; the limit is {MAX_TOTAL_BYTES}: split the animation");
-        return Err(BundleError::header("frames", problem));
     }
     Ok(frames)
 }

@@ -1,4 +1,4 @@
-//! One frame as bytes: counts, Gaussians, occupancy mask, offset table, residual bytes. See `docs/format.md`.
+//! One frame as bytes: counts, Gaussians and their numbers, occupancy mask, offset table, residual bytes. See `docs/format.md`.
 
 use std::io::Read;
 
@@ -24,12 +24,14 @@ const EXTRA_OFFSETS: u64 = 1 << 15;
 
 const COUNTS: usize = 24;
 const RBF: usize = size_of::<Rbf>();
+/// A Gaussian with its number.
+const NUMBERED: u64 = RBF as u64 + 4;
 /// Zstandard windows up to this size are always accepted: what RFC 8878 asks every decoder to support.
 const WINDOW: u64 = 8 << 20;
 
 /// Sizes of a frame's arrays in bytes, for a number of Gaussians, a side of the offset table and a residual count.
 fn sizes(shape: GridShape, rbfs: u32, offset_side: u32, residuals: u32) -> [u64; 4] {
-    let rbfs = u64::from(rbfs) * RBF as u64;
+    let rbfs = u64::from(rbfs) * NUMBERED;
     let occupancy = 4 * (shape.len() as u64).div_ceil(32);
     let offsets = 2 * u64::from(offset_side).pow(3);
     [rbfs, occupancy, offsets, u64::from(residuals)]
@@ -72,12 +74,17 @@ pub(super) fn decode(bytes: &[u8], shape: GridShape) -> Result<SmokeFrame, Frame
     }
     // The lengths add up to that of a slice, so each fits in usize.
     let (rbfs, rest) = rest.split_at(lengths[0] as usize);
+    let (rbfs, ids) = rbfs.split_at(rbf_count as usize * RBF);
     let (occupancy, rest) = rest.split_at(lengths[1] as usize);
     let (offsets, values) = rest.split_at(lengths[2] as usize);
 
     let rbfs: Vec<Rbf> = rbfs.chunks_exact(RBF).map(read_rbf).collect();
     for (index, rbf) in rbfs.iter().enumerate() {
         check_rbf(rbf).map_err(|problem| FrameError::field("rbfs", format!("number {index} has {problem}")))?;
+    }
+    let ids: Vec<u32> = from_le(ids, u32::from_le_bytes);
+    if let Some(twice) = first_repeated(&ids) {
+        return Err(FrameError::field("ids", format!("two RBFs have the number {twice}")));
     }
     if law.max > MAX_DENSITY {
         return Err(FrameError::field("law_max", format!("{} is above {MAX_DENSITY}", law.max)));
@@ -91,7 +98,7 @@ pub(super) fn decode(bytes: &[u8], shape: GridShape) -> Result<SmokeFrame, Frame
         from_le(offsets, u16::from_le_bytes),
         slots,
     )?;
-    Ok(SmokeFrame { rbfs: RbfModel { rbfs }, residual })
+    Ok(SmokeFrame { rbfs: RbfModel { rbfs }, ids, residual })
 }
 
 fn read_rbf(bytes: &[u8]) -> Rbf {
@@ -111,6 +118,12 @@ fn check_rbf(rbf: &Rbf) -> Result<(), String> {
         return Err(format!("weight {weight}, which is not above 0 and at most {MAX_DENSITY}"));
     }
     Ok(())
+}
+
+fn first_repeated(ids: &[u32]) -> Option<u32> {
+    let mut sorted = ids.to_vec();
+    sorted.sort_unstable();
+    sorted.windows(2).find(|pair| pair[0] == pair[1]).map(|pair| pair[0])
 }
 
 fn from_le<const N: usize, T>(bytes: &[u8], read: fn([u8; N]) -> T) -> Vec<T> {
@@ -153,7 +166,7 @@ mod writing {
     pub struct SectionBytes {
         /// Counts and quantisation law.
         pub counts: u64,
-        /// Gaussians.
+        /// Gaussians and their numbers.
         pub rbfs: u64,
         /// Occupancy mask, one bit a cell.
         pub occupancy: u64,
@@ -165,7 +178,7 @@ mod writing {
 
     /// The uncompressed bytes that each part of a frame takes in a file.
     pub fn section_bytes(frame: &SmokeFrame) -> SectionBytes {
-        let SmokeFrame { rbfs, residual } = frame;
+        let SmokeFrame { rbfs, residual, .. } = frame;
         let [rbfs, occupancy, offsets, residuals] =
             sizes(residual.shape(), rbfs.rbfs.len() as u32, residual.offset_side(), residual.count());
         SectionBytes { counts: COUNTS as u64, rbfs, occupancy, offsets, residuals }
@@ -173,7 +186,7 @@ mod writing {
 
     /// The uncompressed bytes of a frame.
     pub(in crate::bundle) fn encode(frame: &SmokeFrame) -> Vec<u8> {
-        let SmokeFrame { rbfs: RbfModel { rbfs }, residual } = frame;
+        let SmokeFrame { rbfs: RbfModel { rbfs }, ids, residual } = frame;
         let law = residual.law();
         let mut bytes = Vec::new();
         bytes.extend((rbfs.len() as u32).to_le_bytes());
@@ -186,6 +199,7 @@ mod writing {
             let [x, y, z] = rbf.center;
             bytes.extend([x, y, z, rbf.radius, rbf.weight].iter().flat_map(|value| value.to_le_bytes()));
         }
+        bytes.extend(ids.iter().flat_map(|id| id.to_le_bytes()));
         bytes.extend(residual.occupancy().iter().flat_map(|word| word.to_le_bytes()));
         bytes.extend(residual.offsets().iter().flat_map(|offset| offset.to_le_bytes()));
         bytes.extend(residual.values().iter().map(|&value| value as u8));

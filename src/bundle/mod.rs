@@ -26,7 +26,7 @@ pub use error::{BundleError, FrameError};
 pub(crate) use format::check_shape;
 #[cfg(feature = "bake")]
 pub use format::write;
-pub use format::{BundleHeader, FrameEntry, MAX_CELLS, MAX_FRAMES, MAX_SIDE, MAX_TOTAL_BYTES, read};
+pub use format::{BundleHeader, FrameEntry, MAX_CELLS, MAX_FRAMES, MAX_SIDE, VERSION, read};
 pub use frame::{MAX_RADIUS, MAX_RBFS, MIN_RADIUS};
 #[cfg(feature = "bake")]
 pub use frame::{SectionBytes, section_bytes};
@@ -44,7 +44,37 @@ pub struct SmokeAnimation {
     /// The largest density of any cell in any frame, at least 0.
     pub max_density: f32,
     /// The frames in order, at least one. Cloning the animation shares them.
-    pub frames: Vec<Arc<SmokeFrame>>,
+    pub frames: SmokeFrames,
+}
+
+/// Where an animation's frames are.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SmokeFrames {
+    /// All of them in memory.
+    Memory(Vec<Arc<SmokeFrame>>),
+}
+
+impl From<Vec<SmokeFrame>> for SmokeFrames {
+    fn from(frames: Vec<SmokeFrame>) -> Self {
+        Self::Memory(frames.into_iter().map(Arc::new).collect())
+    }
+}
+
+impl SmokeFrames {
+    /// How many there are, at least one.
+    #[expect(clippy::len_without_is_empty, reason = "an animation has at least one frame")]
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Memory(frames) => frames.len(),
+        }
+    }
+
+    /// A frame, if it exists and is in memory.
+    pub fn get(&self, index: usize) -> Option<&Arc<SmokeFrame>> {
+        match self {
+            Self::Memory(frames) => frames.get(index),
+        }
+    }
 }
 
 /// One moment of an animation: density `D = max(0, D̃ + R)`.
@@ -52,11 +82,20 @@ pub struct SmokeAnimation {
 pub struct SmokeFrame {
     /// The Gaussians `D̃`, in which light transport is computed.
     pub rbfs: RbfModel,
+    /// Who the Gaussians are, one number each, none twice: a Gaussian that goes on in the next frame keeps its number there.
+    /// Between two frames, Gaussians of the same number are one that moves.
+    pub ids: Vec<u32>,
     /// What they leave out: `R`, on the animation's cells.
     pub residual: HashedResidual,
 }
 
 impl SmokeFrame {
+    /// A frame on its own: its Gaussians are numbered from 0.
+    pub fn new(rbfs: RbfModel, residual: HashedResidual) -> Self {
+        let ids = (0..rbfs.rbfs.len() as u32).collect();
+        Self { rbfs, ids, residual }
+    }
+
     /// The density of every cell, in flat order: what the GPU's density pass computes.
     pub fn decode(&self) -> Vec<f32> {
         let mut density = self.rbfs.rasterize(self.residual.shape());

@@ -30,15 +30,20 @@ fn animation() -> SmokeAnimation {
         Rbf { center: [0.1, -0.2, 0.3], radius: 0.25, weight: 1.5 },
         Rbf { center: [-0.3, 0.0, -0.45], radius: 0.1, weight: 0.01 },
     ];
-    let smoke = SmokeFrame { rbfs: RbfModel { rbfs }, residual: residual() };
-    let clear = SmokeFrame { rbfs: RbfModel::default(), residual: HashedResidual::empty(SHAPE) };
+    let smoke = SmokeFrame { rbfs: RbfModel { rbfs }, ids: vec![7, 3], residual: residual() };
+    let clear = SmokeFrame::new(RbfModel::default(), HashedResidual::empty(SHAPE));
     SmokeAnimation {
         shape: SHAPE,
         placement: Placement { center: DVec3::new(1.0, -2.0, 1e-3), voxel_size: 0.05 },
         frames_per_second: 30.0,
         max_density: 2.25,
-        frames: vec![Arc::new(smoke), Arc::new(clear)],
+        frames: vec![smoke, clear].into(),
     }
+}
+
+fn frames(animation: &mut SmokeAnimation) -> &mut Vec<Arc<SmokeFrame>> {
+    let SmokeFrames::Memory(frames) = &mut animation.frames;
+    frames
 }
 
 fn file() -> Vec<u8> {
@@ -76,7 +81,7 @@ fn with_payload(payload: &[u8]) -> Vec<u8> {
 }
 
 fn payload() -> Vec<u8> {
-    frame::encode(&animation().frames[0])
+    frame::encode(&frames(&mut animation())[0])
 }
 
 /// The message a file is refused with.
@@ -87,9 +92,9 @@ fn fault(bytes: &[u8]) -> String {
 #[test]
 fn round_trip() {
     assert_eq!(read(&file()).unwrap(), animation());
-    let sizes = section_bytes(&animation().frames[0]);
-    assert_eq!(sizes, SectionBytes { counts: 24, rbfs: 40, occupancy: 28, offsets: 2, residuals: 70 });
-    assert_eq!(payload().len(), 164);
+    let sizes = section_bytes(&frames(&mut animation())[0]);
+    assert_eq!(sizes, SectionBytes { counts: 24, rbfs: 48, occupancy: 28, offsets: 2, residuals: 70 });
+    assert_eq!(payload().len(), 172);
 }
 
 #[test]
@@ -100,7 +105,7 @@ fn single_frames_need_no_other_bytes() {
     assert_eq!(header.file_length(), bytes.len() as u64);
     for (index, entry) in header.frames.iter().enumerate() {
         let frame = &bytes[entry.offset as usize..(entry.offset + entry.length) as usize];
-        assert_eq!(header.read_frame(index, frame).unwrap(), *animation().frames[index]);
+        assert_eq!(header.read_frame(index, frame).unwrap(), *frames(&mut animation())[index]);
     }
     let message = header.read_frame(2, &[]).unwrap_err().to_string();
     assert_eq!(message, "frame 2: there is no such frame, the bundle has 2");
@@ -108,7 +113,7 @@ fn single_frames_need_no_other_bytes() {
 
 #[test]
 fn decoded_density_is_the_sum_and_never_negative() {
-    let frame = &animation().frames[0];
+    let frame = frames(&mut animation())[0].clone();
     let cell = UVec3::new(3, 2, 5);
     let x = SHAPE.center(cell);
     let expected = (frame.rbfs.density(x) + frame.residual.get(cell)).max(0.0);
@@ -134,7 +139,7 @@ fn every_header_rule_has_its_message() {
     let nan = f32::NAN.to_le_bytes();
     let cases: &[(usize, &[u8], &str)] = &[
         (0, b"PNG", "not a .smoke file"),
-        (8, &[2], "version 2"),
+        (8, &[1], "version 1 of the .smoke format; this library reads version 2"),
         (12, &[1], "header field flags"),
         (16, &[0], "header field header_length"),
         (20, &[0], "header field frame_count: 0"),
@@ -156,7 +161,7 @@ fn every_header_rule_has_its_message() {
         (96 + 8, &[1], "frame 1: offset"),
         (96 + 16, &[255; 8], "frame 0: uncompressed"),
         (96 + 16, &[1], "frame 0: its compressed data is not valid: it goes on after"),
-        (96 + 16, &[255], "frame 0: its compressed data is not valid: it ends after 164 of 255"),
+        (96 + 16, &[255], "frame 0: its compressed data is not valid: it ends after 172 of 255"),
         (96 + 24, &[0; 4], "frame 0: its checksum"),
         (96 + 28, &[1], "frame 0: reserved"),
     ];
@@ -175,13 +180,13 @@ fn every_header_rule_has_its_message() {
 fn every_frame_rule_has_its_message() {
     let nan = f32::NAN.to_le_bytes();
     let cases: &[(usize, &[u8], &str)] = &[
-        (0, &[3], "it has 164 bytes where its counts need 184"),
+        (0, &[3], "it has 172 bytes where its counts need 196"),
         (0, &[1, 0, 1], "rbf_count: 65537"),
         (4, &nan, "quantisation law"),
         (4, &2e30f32.to_le_bytes(), "law_max"),
         (8, &0f32.to_le_bytes(), "quantisation law"),
-        (12, &[71], "where its counts need 165"),
-        (16, &[0], "where its counts need 162"),
+        (12, &[71], "where its counts need 173"),
+        (16, &[0], "where its counts need 170"),
         (16, &[33], "offset_side: 33"),
         (16, &[255; 4], "offset_side"),
         (20, &[69, 0], "hash table of 69 slots"),
@@ -193,10 +198,11 @@ fn every_frame_rule_has_its_message() {
         (36, &5f32.to_le_bytes(), "rbfs: number 0 has radius"),
         (40, &0f32.to_le_bytes(), "rbfs: number 0 has weight"),
         (40, &f32::INFINITY.to_le_bytes(), "rbfs: number 0 has weight"),
-        (64, &[0], "list of values has 70 entries"),
-        (91, &[255], "after the grid's last cell"),
-        (94, &[0], "value 0"),
-        (94, &[128], "value -128"),
+        (64, &[3], "ids: two RBFs have the number 3"),
+        (72, &[0], "list of values has 70 entries"),
+        (99, &[255], "after the grid's last cell"),
+        (102, &[0], "value 0"),
+        (102, &[128], "value -128"),
     ];
     for &(at, value, expected) in cases {
         let mut payload = payload();
@@ -244,17 +250,17 @@ fn writing_refuses_what_reading_would() {
         change(&mut animation);
         write(&animation).unwrap_err().to_string()
     };
-    assert!(refused(|a| a.frames.clear()).contains("frame_count"));
+    assert!(refused(|a| frames(a).clear()).contains("frame_count"));
     assert!(refused(|a| a.frames_per_second = 0.0).contains("frames_per_second"));
     assert!(refused(|a| a.shape = GridShape::new(UVec3::new(5, 6, 7))).contains("its box"));
-    assert!(refused(|a| Arc::make_mut(&mut a.frames[0]).rbfs.rbfs[1].radius = f32::NAN).contains("radius"));
+    assert!(refused(|a| Arc::make_mut(&mut frames(a)[0]).rbfs.rbfs[1].radius = f32::NAN).contains("radius"));
 }
 
 /// A file that is accepted is usable: it can be written again and its density is a number everywhere.
 fn check_usable(bytes: &[u8]) {
-    if let Ok(animation) = read(bytes) {
+    if let Ok(mut animation) = read(bytes) {
         assert_eq!(read(&write(&animation).unwrap()).unwrap(), animation);
-        for frame in &animation.frames {
+        for frame in frames(&mut animation) {
             assert!(frame.decode().iter().all(|d| d.is_finite() && *d >= 0.0));
         }
     }

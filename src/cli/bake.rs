@@ -217,7 +217,7 @@ pub(super) mod tests {
         let animation = crate::bundle::read(&bytes).unwrap();
         assert_eq!(animation.frames_per_second, 24.0);
         let report: serde_json::Value = serde_json::from_slice(&std::fs::read(&report).unwrap()).unwrap();
-        assert_eq!(report["fit"]["rbfs"], animation.frames[0].rbfs.rbfs.len());
+        assert_eq!(report["fit"]["rbfs"], animation.frames.get(0).unwrap().rbfs.rbfs.len());
         assert_eq!(report["bytes"]["file"], bytes.len());
         assert!(report["quantization"]["worst_half_steps"]["error"].as_f64().unwrap() <= 1.0);
     }

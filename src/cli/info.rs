@@ -7,7 +7,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::output::print;
-use crate::bundle::{BundleHeader, FrameEntry, SectionBytes, SmokeFrame, section_bytes};
+use crate::bundle::{self, BundleError, BundleHeader, FrameEntry, SectionBytes, SmokeFrame, section_bytes};
 
 pub(super) const EXAMPLES: &str = "\
 Every frame is decompressed and checked, so a bundle that `smoke info` accepts will load.
@@ -65,11 +65,15 @@ pub fn run(args: &InfoArgs) -> anyhow::Result<()> {
 }
 
 fn describe(bytes: &[u8]) -> anyhow::Result<Info> {
-    let animation = crate::bundle::read(bytes)?;
     let header = BundleHeader::read(bytes)?;
-    let frames = header.frames.iter().zip(&animation.frames).map(|(entry, frame)| FrameInfo::new(entry, frame));
+    header.check_length(bytes.len() as u64)?;
+    // One frame at a time in memory, however many there are.
+    let frames = header.frames.iter().enumerate().map(|(index, entry)| {
+        let frame = header.read_frame_of(bytes, index)?;
+        Ok(FrameInfo::new(entry, &frame))
+    });
     Ok(Info {
-        format_version: 1,
+        format_version: bundle::VERSION,
         bytes: header.file_length(),
         dims: header.shape.dims.to_array(),
         center: header.placement.center.to_array(),
@@ -77,7 +81,7 @@ fn describe(bytes: &[u8]) -> anyhow::Result<Info> {
         frames_per_second: header.frames_per_second,
         seconds: header.frames.len() as f64 / f64::from(header.frames_per_second),
         max_density: header.max_density,
-        frames: frames.collect(),
+        frames: frames.collect::<Result<_, BundleError>>()?,
     })
 }
 

@@ -158,7 +158,7 @@ fn read_density(path: &Path, frame: u32) -> anyhow::Result<(Grid, Placement)> {
         return Ok((grid(density.shape, density.values), density.placement));
     }
     let animation = read_bundle(path, frame)?;
-    Ok((grid(animation.shape, animation.frames[frame as usize].decode()), animation.placement))
+    Ok((grid(animation.shape, animation.frames.get(0).expect("the one asked for").decode()), animation.placement))
 }
 
 /// A light of the scene where the smoke's box has its longest side 1 and its centre in the origin.

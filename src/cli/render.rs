@@ -18,7 +18,7 @@ use super::output::OutputFile;
 use super::path::{self, PathArgs};
 use super::scene::{Environment, Scene, SceneLight};
 use super::solve::{PaperStats, SolveArgs, Solver};
-use crate::bundle::{self, SmokeAnimation};
+use crate::bundle::{BundleError, BundleHeader, SmokeAnimation};
 use crate::headless::{Headless, HeadlessError};
 use crate::lighting::magnitude;
 use crate::prelude::*;
@@ -238,7 +238,7 @@ fn draw(job: Job) -> anyhow::Result<()> {
         size[0],
         size[1],
     );
-    let rbfs = animation.frames[args.frame as usize].rbfs.rbfs.len();
+    let rbfs = animation.frames.get(0).map_or(0, |frame| frame.rbfs.rbfs.len());
     let cells = animation.shape.dims.to_array();
     let mut headless = Headless::new(drawn.into(), TextureFormat::Rgba16Float)?;
     let paper = args.solve.paper(method.used);
@@ -361,7 +361,7 @@ pub(super) fn is_density(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("vdb") || e.eq_ignore_ascii_case("npy"))
 }
 
-/// Reads a bundle that has this frame.
+/// Reads one frame of a bundle: an animation of that frame alone.
 pub(super) fn read_bundle(path: &Path, frame: u32) -> anyhow::Result<SmokeAnimation> {
     ensure!(
         !is_density(path),
@@ -369,10 +369,12 @@ pub(super) fn read_bundle(path: &Path, frame: u32) -> anyhow::Result<SmokeAnimat
         path.display()
     );
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let animation = bundle::read(&bytes).with_context(|| path.display().to_string())?;
-    let frames = animation.frames.len();
-    ensure!((frame as usize) < frames, "frame {frame} of a bundle that has {frames}, counted from 0");
-    Ok(animation)
+    let read = || {
+        let header = BundleHeader::read(&bytes)?;
+        let frame = header.read_frame_of(&bytes, frame as usize)?;
+        Ok(header.animation(vec![frame].into()))
+    };
+    read().map_err(|error: BundleError| anyhow::anyhow!("{}: {error}", path.display()))
 }
 
 /// Spawns the volume, its lights and a camera that shows radiance as it is: exposure 1, no tone mapping, no dithering.
@@ -394,7 +396,7 @@ fn spawn_scene(
         Scattering::Multiple => ScatteringEvents::Multiple,
     };
     let volume = world.spawn((
-        SmokeVolume { animation, frame: args.frame },
+        SmokeVolume::new(animation),
         SmokeScattering { events, solver: args.solve.solver().into(), ..default() },
         medium(scene),
         environment,

@@ -16,6 +16,7 @@ use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
+use crate::playback::SmokePlayback;
 use crate::scattering::SmokeScattering;
 use crate::sun::EnvironmentSuns;
 use crate::volume::SmokeVolume;
@@ -81,6 +82,7 @@ pub(super) fn extract_smoke(
         Query<(
             Entity,
             &SmokeVolume,
+            &SmokePlayback,
             &SmokeMedium,
             &SmokeEnvironment,
             &SmokeScattering,
@@ -98,14 +100,14 @@ pub(super) fn extract_smoke(
     environment_suns: Extract<Res<EnvironmentSuns>>,
 ) {
     smoke.volumes.clear();
-    for (entity, volume, medium, environment, scattering, transform, layers) in &volumes {
+    for (entity, volume, playback, medium, environment, scattering, transform, layers) in &volumes {
         let clamped = medium.clamped();
         if clamped != *medium {
             warn_once!("{medium:?} of smoke volume {entity} is out of range: it is drawn as {clamped:?} (said once)");
         }
         let extracted = ExtractedVolume {
             animation: volume.animation.id(),
-            frame: volume.frame,
+            frame: playback.frame,
             world_from_bundle: transform.affine(),
             medium: clamped,
             environment: environment.clone(),

@@ -15,7 +15,7 @@ use bevy::render::render_resource::{
 use bevy::render::renderer::{RenderDevice, RenderQueue};
 
 use super::incident_light::PROBE_BYTES;
-use crate::bundle::{SmokeAnimation, SmokeFrame};
+use crate::bundle::{SmokeAnimation, SmokeFrame, SmokeFrames};
 use crate::density::GridShape;
 use crate::optics::gaussian_column;
 use crate::rbf::{Rbf, RbfBins};
@@ -222,10 +222,11 @@ impl RenderAsset for GpuSmokeAnimation {
         let shape = animation.shape;
         let max_density = if animation.max_density > 0.0 { animation.max_density } else { 1.0 };
         let mut frames = Vec::new();
-        match animation.frames.iter().try_for_each(|frame| fits(shape, frame, device)) {
-            Ok(()) => frames.extend(
-                animation.frames.iter().map(|frame| GpuSmokeFrame::new(shape, frame, max_density, device, queue)),
-            ),
+        let SmokeFrames::Memory(all) = &animation.frames;
+        match all.iter().try_for_each(|frame| fits(shape, frame, device)) {
+            Ok(()) => {
+                frames.extend(all.iter().map(|frame| GpuSmokeFrame::new(shape, frame, max_density, device, queue)))
+            }
             Err(problem) => error!("smoke {id} is not drawn: {problem}"),
         }
         Ok(Self { shape, max_density, frames })

@@ -17,7 +17,7 @@ fn density_matches_its_twin() {
 fn density_of_an_empty_frame_is_zero() {
     let gpu = Gpu::new();
     let shape = GridShape::new(UVec3::new(5, 1, 9));
-    let frame = SmokeFrame { rbfs: RbfModel::default(), residual: HashedResidual::empty(shape) };
+    let frame = SmokeFrame::new(RbfModel::default(), HashedResidual::empty(shape));
     let uploaded = gpu.frame(&frame);
     let pass = &gpu.passes().density;
     gpu.run(pass, density::job(pass, shape, &uploaded, gpu.device(), gpu.cache()));

@@ -197,7 +197,7 @@ fn fixture() -> SmokeFrame {
     let quantized: Vec<i8> =
         (0..shape.len()).map(|_| if random.next() < 0.3 { (random.next() * 254.0 - 127.0) as i8 } else { 0 }).collect();
     let residual = HashedResidual::build(shape, &quantized, law).unwrap();
-    SmokeFrame { rbfs: RbfModel { rbfs }, residual }
+    SmokeFrame::new(RbfModel { rbfs }, residual)
 }
 
 fn rbfs(frame: &SmokeFrame) -> &[Rbf] {

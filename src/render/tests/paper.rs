@@ -37,7 +37,7 @@ fn few() -> SmokeFrame {
         at(-0.05, 0.05, 0.0, 0.08, 1.3),
         at(0.01, -0.07, 0.04, 0.06, 0.9),
     ];
-    SmokeFrame { rbfs: RbfModel { rbfs }, residual: HashedResidual::empty(GridShape::new(UVec3::new(24, 20, 22))) }
+    SmokeFrame::new(RbfModel { rbfs }, HashedResidual::empty(GridShape::new(UVec3::new(24, 20, 22))))
 }
 
 /// What the light's steps leave.
@@ -145,7 +145,7 @@ fn solutions_are_carried_over_as_by_their_twin() {
         let center = Vec3::from(rbf.center).as_dvec3() + 0.05 * (random.vector() - 0.5);
         Rbf { center: center.as_vec3().to_array(), ..*rbf }
     };
-    let new = SmokeFrame { rbfs: RbfModel { rbfs: rbfs(&old)[5..].iter().map(moved).collect() }, ..fixture() };
+    let new = SmokeFrame::new(RbfModel { rbfs: rbfs(&old)[5..].iter().map(moved).collect() }, fixture().residual);
     let solution: Vec<DVec3> = rbfs(&old).iter().map(|_| random.vector().as_vec3().as_dvec3()).collect();
     let (old_frame, frame) = (gpu.frame(&old), gpu.frame(&new));
     let carried = gpu.buffer(&vec![[0.0_f32; 4]; rbfs(&new).len()]);

@@ -71,7 +71,7 @@ fn picture(
         placement: Placement { center: DVec3::ZERO, voxel_size: 1.0 },
         frames_per_second: 30.0,
         max_density: MAX_DENSITY,
-        frames: vec![std::sync::Arc::new(frame)],
+        frames: vec![frame].into(),
     };
     let medium = SmokeMedium { sigma_t: 3.0, g: if lit.is_some() { 0.6 } else { 0.0 }, ..default() };
     let glow = lit.map(|lit| lit.glow(volume, &medium, shape));

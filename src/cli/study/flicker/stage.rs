@@ -72,7 +72,5 @@ impl Stage {
 
 /// Makes a volume show exactly this frame of its animation, from 0.
 fn show_frame(world: &mut World, volume: Entity, frame: u32) {
-    if let Some(mut volume) = world.get_mut::<SmokeVolume>(volume) {
-        volume.frame = frame;
-    }
+    world.entity_mut(volume).insert(SmokePlayback::at_frame(frame));
 }

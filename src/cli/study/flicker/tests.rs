@@ -1,5 +1,3 @@
-use std::sync::Arc;
-
 use clap::Parser;
 use glam::{DVec3, IVec3, UVec3};
 
@@ -21,7 +19,7 @@ fn frame(time: f32) -> SmokeFrame {
         let center = [out * angle.cos(), -0.25 + 0.04 * i + 0.02 * time, out * angle.sin()];
         Rbf { center, radius: 0.08 + 0.004 * i, weight: 1.2 }
     };
-    SmokeFrame { rbfs: RbfModel { rbfs: (0..10).map(rbf).collect() }, residual: HashedResidual::empty(SHAPE) }
+    SmokeFrame::new(RbfModel { rbfs: (0..10).map(rbf).collect() }, HashedResidual::empty(SHAPE))
 }
 
 /// A file of the density's values: x is the slowest index.
@@ -38,9 +36,10 @@ fn npy(path: &Path, density: &[f32]) {
 
 /// Writes a bundle of these moments.
 fn bundle(path: &Path, times: [f32; FRAMES]) {
-    let frames: Vec<_> = times.map(|time| Arc::new(frame(time))).into();
+    let frames = times.map(frame);
     let max_density = frames.iter().flat_map(|frame| frame.decode()).fold(0.0, f32::max);
     let placement = Placement { center: DVec3::ZERO, voxel_size: 1.0 / 24.0 };
+    let frames = Vec::from(frames).into();
     let animation = SmokeAnimation { shape: SHAPE, placement, frames_per_second: 30.0, max_density, frames };
     std::fs::write(path, bundle::write(&animation).unwrap()).unwrap();
 }

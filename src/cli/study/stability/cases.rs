@@ -126,10 +126,10 @@ fn with_residual(dims: UVec3, rbfs: Vec<Rbf>, code: i8) -> Arc<SmokeAnimation> {
     let shape = GridShape::new(dims);
     let law = QuantizationLaw { max: 1.0, exponent: 1.0 };
     let residual = HashedResidual::build(shape, &vec![code; shape.len()], law).expect("a small box");
-    let frame = SmokeFrame { rbfs: RbfModel { rbfs }, residual };
+    let frame = SmokeFrame::new(RbfModel { rbfs }, residual);
     let max_density = frame.decode().into_iter().fold(0.0, f32::max);
     let placement = Placement { center: DVec3::ZERO, voxel_size: 1.0 / f64::from(shape.longest()) };
-    let frames = vec![Arc::new(frame)];
+    let frames = vec![frame].into();
     Arc::new(SmokeAnimation { shape, placement, frames_per_second: 30.0, max_density, frames })
 }
 
@@ -175,7 +175,7 @@ pub fn cases() -> Vec<Case> {
         add("number of RBFs", format!("{count}"), Case { smoke: cloud(count, [0.04, 0.09]), ..base.clone() });
     }
     for (name, apart) in [("two in one place", 0.0), ("two 1e-6 apart", 1e-6), ("two 1e-3 apart", 1e-3)] {
-        let mut rbfs = base.smoke.frames[0].rbfs.rbfs.clone();
+        let mut rbfs = base.smoke.frames.get(0).expect("made of one frame").rbfs.rbfs.clone();
         let mut twin = rbfs[0];
         twin.center[0] += apart;
         rbfs.push(twin);

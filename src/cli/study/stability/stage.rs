@@ -132,7 +132,7 @@ fn average(fine: &[[f32; 4]]) -> Vec<[f32; 4]> {
 /// Two halves of the case, path-traced.
 pub fn trace(case: &Case, spp: u32) -> [Vec<[f32; 3]>; 2] {
     let shape = case.smoke.shape;
-    let values = case.smoke.frames[0].decode().into_iter().map(f64::from).collect();
+    let values = case.smoke.frames.get(0).expect("made of one frame").decode().into_iter().map(f64::from).collect();
     let density = Grid { shape, values };
     let image = (case.light == Light::Texel).then(|| EquirectImage::new(TEXELS[0] as usize, texels()));
     let lobes = |w: DVec3| case.light.radiance(w);
