@@ -63,6 +63,9 @@ pub mod residual;
 pub mod scattering;
 pub mod sh;
 mod shaders;
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub mod simulate;
 mod sun;
 pub mod volume;
 
