@@ -11,6 +11,8 @@ mod frame;
 mod loader;
 #[cfg(all(test, feature = "bake"))]
 mod tests;
+#[cfg(feature = "bake")]
+mod write;
 
 use std::sync::Arc;
 
@@ -24,13 +26,13 @@ use crate::residual::HashedResidual;
 pub use error::{BundleError, FrameError};
 #[cfg(feature = "bake")]
 pub(crate) use format::check_shape;
-#[cfg(feature = "bake")]
-pub use format::write;
 pub use format::{BundleHeader, FrameEntry, MAX_CELLS, MAX_FRAMES, MAX_SIDE, VERSION, read};
 pub use frame::{MAX_RADIUS, MAX_RBFS, MIN_RADIUS};
 #[cfg(feature = "bake")]
 pub use frame::{SectionBytes, section_bytes};
 pub use loader::{SmokeAnimationLoader, SmokeLoadError};
+#[cfg(feature = "bake")]
+pub use write::{BundleWriter, PackedFrame, WriteError, write};
 
 /// A baked animation of smoke density.
 #[derive(Asset, TypePath, Clone, Debug, PartialEq)]
