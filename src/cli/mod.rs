@@ -162,6 +162,8 @@ mod tests {
             (&["smoke", "simulate", "-o", "x", "--obstacle", "cube"], "--obstacle"),
             (&["smoke", "study", "cube"], "cube"),
             (&["smoke", "study", "sphere", "--paths", "0"], "--paths"),
+            (&["smoke", "study", "flicker", "a.smoke"], "--density"),
+            (&["smoke", "study", "flicker", "a.smoke", "--density", "a.vdb"], "2 values required"),
         ] {
             let line = usage(arguments);
             assert!(line.contains(expected) && !line.contains('\n'), "{line}");
