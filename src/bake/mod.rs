@@ -66,10 +66,11 @@ pub struct BakeSettings {
 impl BakeSettings {
     /// Most Gaussians a frame may get.
     pub fn most_rbfs(&self) -> usize {
-        self.max_rbfs.unwrap_or(match self.target {
+        let most = self.max_rbfs.unwrap_or(match self.target {
             FitTarget::Count(count) => 2 * count,
             FitTarget::Error(_) => 2000,
-        })
+        });
+        most.min(bundle::MAX_RBFS as usize)
     }
 }
 
