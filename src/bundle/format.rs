@@ -50,10 +50,12 @@ pub fn read(bytes: &[u8]) -> Result<SmokeAnimation, BundleError> {
 ///
 /// # Errors
 ///
-/// An animation that breaks a limit of the format, so that [`read`] would refuse it.
+/// An animation whose frames are not in memory, or one that breaks a limit of the format, so that [`read`] would refuse it.
 #[cfg(feature = "bake")]
 pub fn write(animation: &SmokeAnimation) -> Result<Vec<u8>, BundleError> {
-    let SmokeFrames::Memory(frames) = &animation.frames;
+    let SmokeFrames::Memory(frames) = &animation.frames else {
+        return Err(BundleError::NotInMemory);
+    };
     if frames.len() > MAX_FRAMES as usize {
         return Err(BundleError::header("frame_count", format!("{} is above {MAX_FRAMES}", frames.len())));
     }

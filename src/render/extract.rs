@@ -107,7 +107,7 @@ pub(super) fn extract_smoke(
         }
         let extracted = ExtractedVolume {
             animation: volume.animation.id(),
-            frame: playback.frame,
+            frame: playback.frame().round() as u32,
             world_from_bundle: transform.affine(),
             medium: clamped,
             environment: environment.clone(),

@@ -222,7 +222,10 @@ impl RenderAsset for GpuSmokeAnimation {
         let shape = animation.shape;
         let max_density = if animation.max_density > 0.0 { animation.max_density } else { 1.0 };
         let mut frames = Vec::new();
-        let SmokeFrames::Memory(all) = &animation.frames;
+        let all = match &animation.frames {
+            SmokeFrames::Memory(all) => &all[..],
+            SmokeFrames::Stream(_) => &[],
+        };
         match all.iter().try_for_each(|frame| fits(shape, frame, device)) {
             Ok(()) => {
                 frames.extend(all.iter().map(|frame| GpuSmokeFrame::new(shape, frame, max_density, device, queue)))
