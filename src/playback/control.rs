@@ -147,7 +147,7 @@ impl SmokePlayback {
         }
         match (&self.frames_per_second, &self.range) {
             (Some(rate), _) if !is_rate(*rate) => Some(format!("{rate} frames a second")),
-            (_, Some(range)) if range.is_empty() => Some(format!("a range of frames from {range:?}")),
+            (_, Some(range)) if range.is_empty() => Some(format!("a range of frames of {range:?}")),
             _ => None,
         }
     }
@@ -183,14 +183,13 @@ impl SmokePlayback {
         if let Some(target) = self.seek.take() {
             self.frame = target * self.rate(animation);
         }
-        if self.paused || self.problem().is_some() {
-            return Passed::default();
-        }
+        let timeline = self.timeline(animation);
+        self.frame = timeline.clamp(self.frame);
         let frames = seconds * f64::from(self.speed) * self.rate(animation);
-        if frames == 0.0 {
+        if frames == 0.0 || self.paused || self.problem().is_some() {
             return Passed::default();
         }
-        let (head, passed) = self.timeline(animation).advance(self.head(), frames);
+        let (head, passed) = timeline.advance(self.head(), frames);
         (self.frame, self.returning) = (head.frame, head.returning);
         passed
     }

@@ -73,7 +73,7 @@ fn advance(
             continue;
         };
         if let Some(problem) = playback.problem() {
-            warn_once!("smoke volume {entity} cannot be played at {problem}: it stands still (said once)");
+            warn_once!("smoke volume {entity} cannot be played with {problem}: it stands still (said once)");
         }
         let started = shown.animation == Some(volume.animation.id());
         let mut next = playback.clone();

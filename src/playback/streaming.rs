@@ -20,8 +20,9 @@ use crate::volume::SmokeVolume;
 /// that both want. Frames that no volume wants any more are dropped.
 ///
 /// A frame takes the bytes that it has uncompressed, which `smoke info` prints: 24 for each RBF, 1 bit for each cell, 1
-/// byte for each cell with a residual, 2 for each of the cells of the hash's offset table. The plume in the examples (57 × 117 × 58 cells,
-/// 600 RBFs) is of 0.2 to 0.5 MB; so a volume of it keeps 2 to 5 MB.
+/// byte for each slot of the residual's hash (a cell with a residual, and a little more), 2 for each entry of its offset
+/// table. The examples' plume, 57 × 117 × 58 cells and 600 RBFs, takes 0.46 MB; so a volume that plays such smoke keeps
+/// 4.6 MB.
 #[derive(Resource, Clone, Debug, PartialEq, Eq, Reflect)]
 #[reflect(Resource, Default, Debug, Clone, PartialEq)]
 pub struct SmokeStreaming {

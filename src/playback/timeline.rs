@@ -64,6 +64,12 @@ impl Timeline {
         if offset < end { offset } else { self.length() }
     }
 
+    /// The same from the bundle's first frame: `frame` itself if it is within the range.
+    pub fn clamp(&self, frame: f64) -> f64 {
+        let (first, offset) = (f64::from(self.first), self.offset(frame));
+        if frame - first == offset { frame } else { first + offset }
+    }
+
     /// Moves by so many frames, backwards where negative.
     pub fn advance(&self, head: Head, frames: f64) -> (Head, Passed) {
         let (offset, length) = (self.offset(head.frame), self.length());

@@ -172,7 +172,7 @@ fn a_damaged_frame_is_passed_over_and_read_once() {
         }
     }
     assert_eq!(theatre.stats().frames_damaged, 1);
-    assert_eq!(theatre.stats().frames_late, theatre.stats().frames_late.max(3));
+    assert!(theatre.stats().frames_late >= 3);
 
     // Mended, it is shown.
     theatre.archive.put(file(6, 0.0));
@@ -265,8 +265,9 @@ fn once_ends_with_an_event() {
         theatre.step(1.0);
     }
     assert_eq!((theatre.shown(volume), theatre.heard().finished), (Some(1.0), 2));
+    // Past the end; frames that far away have to be read again.
     theatre.playback(volume).seek(1.0);
-    theatre.step(0.0);
+    theatre.wait();
     assert_eq!((theatre.shown(volume), theatre.heard()), (Some(3.0), Heard { ready: 1, looped: 0, finished: 2 }));
 }
 
