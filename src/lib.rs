@@ -66,6 +66,9 @@ pub mod residual;
 pub mod scattering;
 pub mod sh;
 mod shaders;
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub mod simulate;
 mod sun;
 pub mod volume;
 
@@ -92,6 +95,8 @@ impl Plugin for SmokePlugin {
     fn build(&self, app: &mut App) {
         #[cfg(feature = "reference")]
         app.register_type::<paper::SmokePaper>();
+        #[cfg(feature = "bake")]
+        app.register_asset_processor(bake::VdbBaker).set_default_asset_processor::<bake::VdbBaker>("vdb");
         app.init_asset::<bundle::SmokeAnimation>()
             .init_asset_loader::<bundle::SmokeAnimationLoader>()
             .register_type::<volume::SmokeVolume>()

@@ -3,6 +3,7 @@
 //! [`bake`] ends by reading back what it wrote: every figure of [`BakeReport`] is measured on what a game will load.
 
 mod picture;
+mod process;
 mod report;
 #[cfg(test)]
 mod tests;
@@ -17,6 +18,7 @@ use crate::residual::{HashedResidual, QuantizationLaw, ResidualError};
 
 use picture::Picture;
 pub use picture::{PictureError, picture_error};
+pub use process::{VdbBaker, VdbBakerSettings};
 pub use report::{BakeReport, BytesReport, FitSeconds, FitSummary, ResidualReport, SourceReport, StageSeconds};
 pub use verify::{QuantizationReport, Worst};
 

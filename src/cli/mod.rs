@@ -10,6 +10,7 @@ pub mod output;
 pub mod path;
 pub mod render;
 pub mod scene;
+pub mod simulate;
 pub mod solve;
 pub mod study;
 
@@ -33,6 +34,9 @@ enum Cli {
     /// Measure the error of an image against a reference
     #[command(after_help = compare::EXAMPLES)]
     Compare(compare::CompareArgs),
+    /// Simulate a plume of smoke, to have something to bake
+    #[command(after_help = simulate::EXAMPLES)]
+    Simulate(simulate::SimulateArgs),
     /// Run a numerical study behind the method again
     #[command(after_help = study::EXAMPLES)]
     #[command(subcommand)]
@@ -41,7 +45,8 @@ enum Cli {
 
 const OVERVIEW: &str = "\
 From a simulation to a picture with a known error:
-  smoke bake plume_0031.vdb -o plume.smoke --rbfs 600
+  smoke simulate -o frames
+  smoke bake frames/plume_0050.npy -o plume.smoke --rbfs 600
   smoke info plume.smoke
   smoke render plume.smoke -o plume.exr --scene scene.json
   smoke compare plume.exr full_a.exr full_b.exr --alpha alpha.exr
@@ -71,6 +76,7 @@ fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Cli::Info(args) => info::run(&args),
         Cli::Render(args) => render::run(args),
         Cli::Compare(args) => compare::run(&args),
+        Cli::Simulate(args) => simulate::run(&args),
         Cli::Study(what) => study::run(&what),
     };
     match result {
@@ -142,6 +148,12 @@ mod tests {
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--fps", "nan"], "--fps"),
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--error", "2"], "--error"),
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--error", "0.1", "--rbfs", "9"], "cannot be used with"),
+            (&["smoke", "simulate"], "--output"),
+            (&["smoke", "simulate", "-o", "x", "--size", "48,96"], "--size"),
+            (&["smoke", "simulate", "-o", "x", "--frames", "0"], "--frames"),
+            (&["smoke", "simulate", "-o", "x", "--warmup=-1"], "--warmup"),
+            (&["smoke", "simulate", "-o", "x", "--fps", "0"], "--fps"),
+            (&["smoke", "simulate", "-o", "x", "--obstacle", "cube"], "--obstacle"),
             (&["smoke", "study", "cube"], "cube"),
             (&["smoke", "study", "sphere", "--paths", "0"], "--paths"),
         ] {
