@@ -108,6 +108,7 @@ mod tests {
     use std::path::Path;
     use std::time::{Duration, Instant};
 
+    use bevy::asset::processor::{AssetProcessor, FileTransactionLogFactory};
     use bevy::prelude::*;
 
     use super::*;
@@ -131,6 +132,9 @@ mod tests {
             TransformPlugin,
             SmokePlugin,
         ));
+        // Its place by default is in the current folder.
+        let log = FileTransactionLogFactory { file_path: folder.join("log") };
+        app.world().resource::<AssetProcessor>().data().set_log_factory(Box::new(log)).unwrap();
         app
     }
 

@@ -13,6 +13,8 @@ mod loader;
 mod stream;
 #[cfg(all(test, feature = "bake"))]
 mod tests;
+#[cfg(feature = "bake")]
+mod write;
 
 use std::sync::Arc;
 
@@ -26,8 +28,6 @@ use crate::residual::HashedResidual;
 pub use error::{BundleError, FrameError};
 #[cfg(feature = "bake")]
 pub(crate) use format::check_shape;
-#[cfg(feature = "bake")]
-pub use format::write;
 pub use format::{BundleHeader, FrameEntry, MAX_CELLS, MAX_FRAMES, MAX_SIDE, VERSION, read};
 pub use frame::{MAX_RADIUS, MAX_RBFS, MIN_RADIUS};
 #[cfg(feature = "bake")]
@@ -35,6 +35,8 @@ pub use frame::{SectionBytes, section_bytes};
 pub use loader::{SmokeAnimationLoader, SmokeLoadError};
 pub(crate) use stream::FrameReadError;
 pub use stream::FrameStream;
+#[cfg(feature = "bake")]
+pub use write::{BundleWriter, PackedFrame, WriteError, write};
 
 /// A baked animation of smoke density.
 #[derive(Asset, TypePath, Clone, Debug, PartialEq)]

@@ -5,6 +5,7 @@
 pub mod bake;
 pub mod compare;
 pub mod exr_io;
+pub mod frames;
 pub mod info;
 pub mod output;
 pub mod path;
@@ -23,7 +24,7 @@ use clap::Parser;
 #[derive(Parser, Debug)]
 #[command(name = "smoke", version, arg_required_else_help = false, after_help = OVERVIEW)]
 enum Cli {
-    /// Bake a density file (OpenVDB or NumPy) into a .smoke bundle
+    /// Bake density files (OpenVDB or NumPy) into a .smoke bundle
     #[command(after_help = bake::EXAMPLES)]
     Bake(bake::BakeArgs),
     /// Show what a .smoke bundle holds, and check it for damage
@@ -156,6 +157,8 @@ mod tests {
             (&["smoke", "simulate", "-o", "x", "--obstacle", "cube"], "--obstacle"),
             (&["smoke", "study", "cube"], "cube"),
             (&["smoke", "study", "sphere", "--paths", "0"], "--paths"),
+            (&["smoke", "study", "flicker", "a.smoke"], "--density"),
+            (&["smoke", "study", "flicker", "a.smoke", "--density", "a.vdb"], "2 values required"),
         ] {
             let line = usage(arguments);
             assert!(line.contains(expected) && !line.contains('\n'), "{line}");

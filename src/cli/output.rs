@@ -37,6 +37,11 @@ impl OutputFile {
         Ok(output)
     }
 
+    /// Where the file goes: its full path, links followed.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Writes the file: to a temporary file beside it first, which then takes its place.
     pub fn write(&self, bytes: &[u8]) -> anyhow::Result<()> {
         let temporary = self.temporary();
