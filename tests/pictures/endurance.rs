@@ -1,18 +1,22 @@
 //! A long animation, played for longer than it is: memory must not grow with what has been shown.
 //!
 //! `cargo test --all-features --test pictures -- --ignored --nocapture endurance`, with `SMOKE_BUNDLE=FILE` to play the
-//! frames of a bundle other than the plume's.
+//! frames of a bundle other than the small one that is made for it.
 
-use std::path::Path;
+use std::fs::File;
 use std::time::{Duration, Instant};
 
+use bevy::math::DVec3;
 use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
 use bevy::time::TimeUpdateStrategy;
-use bevy_smoke::bundle::{self, BundleHeader, SmokeFrame};
+use bevy_smoke::bundle::{self, BundleHeader, BundleWriter, PackedFrame, SmokeFrame};
+use bevy_smoke::density::{GridShape, Placement};
 use bevy_smoke::headless::Headless;
 use bevy_smoke::playback::{SmokeStreaming, SmokeStreamingStats};
 use bevy_smoke::prelude::*;
+use bevy_smoke::rbf::{Rbf, RbfModel};
+use bevy_smoke::residual::{HashedResidual, QuantizationLaw};
 
 use crate::scene::{SIZE, camera};
 
@@ -21,44 +25,50 @@ const UPDATES: usize = 2000;
 /// One frame of animation an update, and no more updates a second than this.
 const STEP: Duration = Duration::from_nanos(1_000_000_000 / 30);
 
-/// A bundle of `FRAMES` frames, which are those of `few` over and over, each time in another order. Their bytes are
-/// copied as they are behind a new header (`docs/format.md`).
-fn repeated(few: &[u8]) -> Vec<u8> {
+/// Writes a bundle of `FRAMES` frames, which are those of `few` over and over, each time from another one on.
+fn repeat(few: &[u8], file: File) {
     let header = BundleHeader::read(few).unwrap();
-    let length = BundleHeader::FIXED_BYTES + 32 * FRAMES + 4;
-    let mut bytes = few[..BundleHeader::FIXED_BYTES].to_vec();
-    bytes[16..20].copy_from_slice(&(length as u32).to_le_bytes());
-    bytes[20..24].copy_from_slice(&(FRAMES as u32).to_le_bytes());
-    bytes[36..40].copy_from_slice(&30_f32.to_le_bytes());
-    let mut payloads: Vec<u8> = Vec::new();
+    let frames: Vec<PackedFrame> = header
+        .frames
+        .iter()
+        .map(|entry| PackedFrame {
+            bytes: few[entry.offset as usize..][..entry.length as usize].to_vec(),
+            uncompressed: entry.uncompressed,
+        })
+        .collect();
+    let max_density = header.max_density;
+    let header = BundleHeader { frames_per_second: 30.0, frames: Vec::new(), ..header };
+    let mut writer = BundleWriter::new(file, header, FRAMES).unwrap();
     for frame in 0..FRAMES {
-        let count = header.frames.len();
-        let entry = header.frames[(frame % count + 7 * (frame / count)) % count];
-        bytes.extend(((length + payloads.len()) as u64).to_le_bytes());
-        bytes.extend(entry.length.to_le_bytes());
-        bytes.extend(entry.uncompressed.to_le_bytes());
-        bytes.extend(entry.crc32.to_le_bytes());
-        bytes.extend([0; 4]);
-        payloads.extend(&few[entry.offset as usize..][..entry.length as usize]);
+        let count = frames.len();
+        writer.push(&frames[(frame + 7 * (frame / count)) % count]).unwrap();
     }
-    bytes.extend(crc32fast::hash(&bytes).to_le_bytes());
-    bytes.extend(payloads);
-    bytes
+    writer.finish(max_density).unwrap();
 }
 
-/// The plume in eight sizes, of a hundred RBFs to keep the GPU's share short.
-fn plumes() -> Vec<u8> {
-    let bytes = std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/plume.smoke")).unwrap();
-    let mut animation = bundle::read(&bytes).unwrap();
-    let mut frame: SmokeFrame = (**animation.frames.get(0).unwrap()).clone();
-    frame.rbfs.rbfs.truncate(100);
-    frame.ids.truncate(100);
-    let frames = (1..=8).map(|size| {
-        let mut frame = frame.clone();
-        frame.rbfs.rbfs.iter_mut().for_each(|rbf| rbf.weight *= size as f32 / 8.0);
-        frame
-    });
-    animation.frames = frames.collect::<Vec<_>>().into();
+/// Eight frames of a column that winds upwards.
+fn columns() -> Vec<u8> {
+    let shape = GridShape::new(UVec3::new(32, 64, 32));
+    let frame = |index: usize| {
+        let rbf = |i: usize| {
+            let height = i as f32 / 40.0;
+            let angle = 9.0 * height + index as f32 * std::f32::consts::FRAC_PI_4;
+            Rbf { center: [0.1 * angle.cos(), height - 0.5, 0.1 * angle.sin()], radius: 0.08, weight: 0.5 }
+        };
+        let rbfs = RbfModel { rbfs: (0..40).map(rbf).collect() };
+        let density = rbfs.rasterize(shape).into_iter().enumerate();
+        let noise = density.map(|(cell, d)| if d > 0.05 { ((cell * 37 + index) % 61) as i8 - 30 } else { 0 });
+        let law = QuantizationLaw { max: 0.2, exponent: 1.0 };
+        let residual = HashedResidual::build(shape, &noise.collect::<Vec<_>>(), law).unwrap();
+        SmokeFrame::new(rbfs, residual)
+    };
+    let animation = SmokeAnimation {
+        shape,
+        placement: Placement { center: DVec3::ZERO, voxel_size: 0.05 },
+        frames_per_second: 30.0,
+        max_density: 2.0,
+        frames: (0..8).map(frame).collect::<Vec<_>>().into(),
+    };
     bundle::write(&animation).unwrap()
 }
 
@@ -72,12 +82,11 @@ fn resident_memory() -> f64 {
 #[test]
 #[ignore = "takes minutes"]
 fn endurance() {
-    let few = std::env::var("SMOKE_BUNDLE").map_or_else(|_| plumes(), |file| std::fs::read(file).unwrap());
+    let few = std::env::var("SMOKE_BUNDLE").map_or_else(|_| columns(), |file| std::fs::read(file).unwrap());
     let folder = tempfile::tempdir().unwrap();
-    let file = repeated(&few);
-    let megabytes = file.len() as f64 / 1e6;
-    std::fs::write(folder.path().join("long.smoke"), &file).unwrap();
-    drop(file);
+    let path = folder.path().join("long.smoke");
+    repeat(&few, File::create(&path).unwrap());
+    let megabytes = std::fs::metadata(&path).unwrap().len() as f64 / 1e6;
 
     let mut headless =
         Headless::with_assets(SIZE, TextureFormat::Rgba16Float, folder.path().to_str().unwrap().to_owned()).unwrap();
@@ -111,6 +120,7 @@ fn endurance() {
         largest_bytes = largest_bytes.max(stats.resident_bytes);
         if update == FRAMES {
             after_one_loop = resident_memory();
+            println!("one loop in {:.0} s: {after_one_loop:.0} MB", start.elapsed().as_secs_f64());
         }
         std::thread::sleep(STEP.saturating_sub(begun.elapsed()));
     }
