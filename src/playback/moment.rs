@@ -35,6 +35,11 @@ impl Moment {
         self.from.residual.shape()
     }
 
+    /// The density that the renderer's scaled density is 1 at: the largest, or 1 where there is none. Above 0.
+    pub(crate) fn density_scale(&self) -> f32 {
+        if self.max_density > 0.0 { self.max_density } else { 1.0 }
+    }
+
     /// Whether this is the same blend of the same frames in memory.
     pub fn is_same(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.from, &other.from) && Arc::ptr_eq(&self.to, &other.to) && self.blend == other.blend

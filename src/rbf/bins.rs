@@ -1,5 +1,6 @@
 //! Which Gaussians matter where: uniform bins over the density grid.
 
+use bevy::platform::collections::HashMap;
 use glam::{UVec3, Vec3};
 
 use super::{Rbf, SUPPORT};
@@ -34,30 +35,47 @@ impl RbfBins {
     pub fn new(rbfs: &[Rbf], shape: GridShape) -> Self {
         let dims = shape.dims.map(|n| n.div_ceil(BIN_CELLS));
         let bins = GridShape::new(dims);
-        let mut lists: Vec<Vec<u32>> = vec![Vec::new(); bins.len()];
-        for (index, rbf) in (0..).zip(rbfs) {
-            let (first, last) = reach(rbf, shape, dims);
-            for z in first.z..=last.z {
-                for y in first.y..=last.y {
-                    for x in first.x..=last.x {
-                        let bin = UVec3::new(x, y, z);
-                        if meets(rbf, grown_box(bin, shape)) {
-                            lists[bins.index(bin)].push(index);
-                        }
-                    }
-                }
-            }
-        }
-        for (bin, list) in lists.iter_mut().enumerate().filter(|(_, list)| list.is_empty()) {
-            let (low, high) = grown_box(bins.cell(bin), shape);
-            *list = nearest(rbfs, 0.5 * (low + high));
+        // The bins that every Gaussian meets, Gaussian by Gaussian, and how many Gaussians every bin has.
+        let mut met = Vec::new();
+        let mut counts = vec![0_u32; bins.len()];
+        let ends: Vec<usize> = rbfs
+            .iter()
+            .map(|rbf| {
+                met_bins(rbf, shape, bins, |bin| {
+                    met.push(bin as u32);
+                    counts[bin] += 1;
+                });
+                met.len()
+            })
+            .collect();
+        let mut candidates = Candidates::new(rbfs, shape, bins);
+        let uncovered: Vec<(usize, Vec<u32>)> =
+            (0..bins.len()).filter(|&bin| counts[bin] == 0).map(|bin| (bin, candidates.nearest(bin))).collect();
+        for (bin, list) in &uncovered {
+            counts[*bin] = list.len() as u32;
         }
 
-        let mut offsets = vec![0];
-        let mut indices = Vec::with_capacity(lists.iter().map(Vec::len).sum());
-        for list in &lists {
-            indices.extend(list);
-            offsets.push(indices.len() as u32);
+        let mut offsets = Vec::with_capacity(bins.len() + 1);
+        offsets.push(0);
+        let mut end = 0;
+        for count in counts {
+            end += count;
+            offsets.push(end);
+        }
+        let mut indices = vec![0; end as usize];
+        for (bin, list) in uncovered {
+            indices[offsets[bin] as usize..][..list.len()].copy_from_slice(&list);
+        }
+        // Where each bin's next entry goes; Gaussians come in order, so that lists ascend.
+        let mut next = offsets.clone();
+        let mut start = 0;
+        for (index, end) in (0..).zip(ends) {
+            for &bin in &met[start..end] {
+                let at = &mut next[bin as usize];
+                indices[*at as usize] = index;
+                *at += 1;
+            }
+            start = end;
         }
         Self { dims, offsets, indices }
     }
@@ -89,10 +107,30 @@ fn grown_box(bin: UVec3, shape: GridShape) -> (Vec3, Vec3) {
     (shape.center(first) - margin, shape.center(last) + margin)
 }
 
-/// Whether the support of `rbf` meets a box.
-fn meets(rbf: &Rbf, (low, high): (Vec3, Vec3)) -> bool {
-    let center = Vec3::from(rbf.center);
-    center.clamp(low, high).distance_squared(center) < (SUPPORT * rbf.radius).powi(2)
+/// Calls `found` with every bin whose grown box the support of `rbf` meets.
+fn met_bins(rbf: &Rbf, shape: GridShape, bins: GridShape, mut found: impl FnMut(usize)) {
+    let (first, last) = reach(rbf, shape, bins.dims);
+    // Squared distances to the bins' boxes, axis by axis.
+    let apart: [Vec<f32>; 3] = std::array::from_fn(|axis| {
+        (first[axis]..=last[axis])
+            .map(|bin| {
+                let (low, high) = grown_box(UVec3::splat(bin).min(bins.dims - 1), shape);
+                let center = rbf.center[axis];
+                (center.clamp(low[axis], high[axis]) - center).powi(2)
+            })
+            .collect()
+    });
+    let reach2 = (SUPPORT * rbf.radius).powi(2);
+    for (z, dz2) in (first.z..).zip(&apart[2]) {
+        for (y, dy2) in (first.y..).zip(&apart[1]) {
+            let row = bins.index(UVec3::new(0, y, z));
+            for (x, dx2) in (first.x..).zip(&apart[0]) {
+                if dx2 + dy2 + dz2 < reach2 {
+                    found(row + x as usize);
+                }
+            }
+        }
+    }
 }
 
 /// The first and last bin that `rbf` may reach, a cell generous: [`meets`] decides.
@@ -107,10 +145,63 @@ fn reach(rbf: &Rbf, shape: GridShape, dims: UVec3) -> (UVec3, UVec3) {
     (bin(center - margin), bin(center + margin))
 }
 
-/// The [`NEAREST`] Gaussians to `point` by distance over radius, ties by index; ascending.
-fn nearest(rbfs: &[Rbf], point: Vec3) -> Vec<u32> {
+/// Side in bins of the blocks whose bins look for their nearest Gaussians among the same few.
+const BLOCK: u32 = 4;
+
+/// Finds the nearest Gaussians of bins that no support meets: few of them can be, for all bins of a block.
+struct Candidates<'a> {
+    rbfs: &'a [Rbf],
+    shape: GridShape,
+    bins: GridShape,
+    blocks: HashMap<UVec3, Vec<u32>>,
+}
+
+impl<'a> Candidates<'a> {
+    fn new(rbfs: &'a [Rbf], shape: GridShape, bins: GridShape) -> Self {
+        Self { rbfs, shape, bins, blocks: HashMap::default() }
+    }
+
+    /// The [`NEAREST`] Gaussians to a bin's centre by distance over radius, ties by index; ascending.
+    fn nearest(&mut self, bin: usize) -> Vec<u32> {
+        let (rbfs, shape, bins) = (self.rbfs, self.shape, self.bins);
+        let center = |bin: UVec3| {
+            let (low, high) = grown_box(bin, shape);
+            0.5 * (low + high)
+        };
+        let bin = bins.cell(bin);
+        let block = bin / BLOCK;
+        let candidates = self.blocks.entry(block).or_insert_with(|| {
+            let (first, last) = (center(block * BLOCK), center((block * BLOCK + BLOCK - 1).min(bins.dims - 1)));
+            of_block(rbfs, 0.5 * (first + last), 0.5 * first.distance(last))
+        });
+        nearest(rbfs, candidates, center(bin))
+    }
+}
+
+/// Those that may be among the [`NEAREST`] of some point within `reach` of `center`; ascending.
+fn of_block(rbfs: &[Rbf], center: Vec3, reach: f32) -> Vec<u32> {
+    let ranges: Vec<(f32, f32)> = rbfs
+        .iter()
+        .map(|rbf| {
+            let distance = center.distance(Vec3::from(rbf.center));
+            ((distance - reach) / rbf.radius, (distance + reach) / rbf.radius)
+        })
+        .collect();
+    let mut farthest: Vec<f32> = ranges.iter().map(|range| range.1).collect();
+    let rank = NEAREST.min(farthest.len());
+    // So many are at most this far from any of the points; a little more, for rounding.
+    let enough = match rank.checked_sub(1) {
+        Some(last) => *farthest.select_nth_unstable_by(last, f32::total_cmp).1 * 1.0001 + 1e-4,
+        None => return Vec::new(),
+    };
+    (0..).zip(ranges).filter(|(_, range)| range.0 <= enough).map(|(index, _)| index).collect()
+}
+
+/// The [`NEAREST`] of some Gaussians to `point` by distance over radius, ties by index; ascending.
+fn nearest(rbfs: &[Rbf], among: &[u32], point: Vec3) -> Vec<u32> {
     let mut best: Vec<(f32, u32)> = Vec::with_capacity(NEAREST + 1);
-    for (index, rbf) in (0..).zip(rbfs) {
+    for &index in among {
+        let rbf = &rbfs[index as usize];
         let distance = point.distance(Vec3::from(rbf.center)) / rbf.radius;
         let rank = best.partition_point(|&(other, _)| other <= distance);
         if rank < NEAREST {
