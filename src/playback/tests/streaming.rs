@@ -278,7 +278,7 @@ fn playback_starts_when_smoke_appears() {
     let volume = theatre.play(SmokePlayback::once());
     theatre.wait_until("it is loaded", |world| {
         world.resource::<AssetServer>().is_loaded(&world.get::<SmokeVolume>(volume).unwrap().animation)
-            || world.resource::<Assets<SmokeAnimation>>().len() > 0
+            || !world.resource::<Assets<SmokeAnimation>>().is_empty()
     });
     for _ in 0..3 {
         theatre.step(1.0);
