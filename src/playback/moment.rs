@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use bevy::platform::collections::HashMap;
+use bevy::platform::collections::{HashMap, HashSet};
 
 use crate::bundle::SmokeFrame;
 use crate::density::GridShape;
@@ -67,6 +67,19 @@ impl Moment {
         let only_there = to.filter(|(id, _)| arriving.contains_key(id));
         rbfs.extend(only_there.map(|(_, b)| Rbf { weight: t * b.weight, ..*b }));
         RbfModel { rbfs }
+    }
+
+    /// Whether each of [`rbfs`](Self::rbfs) is in both frames; the others come or go.
+    pub fn stays(&self) -> Vec<bool> {
+        let (from, to) = (&self.from.ids, &self.to.ids);
+        if self.blend == 0.0 {
+            return vec![true; from.len()];
+        }
+        let (in_from, in_to): (HashSet<u32>, HashSet<u32>) =
+            (from.iter().copied().collect(), to.iter().copied().collect());
+        let mut stays: Vec<bool> = from.iter().map(|id| in_to.contains(id)).collect();
+        stays.resize(from.len() + to.iter().filter(|id| !in_from.contains(*id)).count(), false);
+        stays
     }
 
     /// The density of every cell, in flat order: what the GPU's density pass computes.

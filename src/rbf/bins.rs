@@ -18,8 +18,8 @@ const NEAREST: usize = 4;
 /// Bin (0,0,0) starts at cell (0,0,0); bins are numbered `x + dims.x (y + dims.y z)`. A bin lists every Gaussian whose
 /// support meets the bin's box grown by one cell on every side, so trilinear interpolation between cells of neighbouring
 /// bins sees the same Gaussians. A bin that no support meets lists its 4 nearest (by distance over radius from the
-/// bin's centre, ties by index), so that wisps outside every support still have a source radiance. Only an empty model
-/// has empty lists.
+/// bin's centre, ties by index), so that wisps outside every support still have a source radiance; one that only Gaussians
+/// meet which come or go as time goes on lists those beside the 4 nearest that stay. Only an empty model has empty lists.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RbfBins {
     /// Bins a side: the grid's dimensions over [`BIN_CELLS`], rounded up.
@@ -33,26 +33,36 @@ pub struct RbfBins {
 impl RbfBins {
     /// Sorts `rbfs` into bins over `shape`.
     pub fn new(rbfs: &[Rbf], shape: GridShape) -> Self {
+        Self::of_moment(rbfs, &vec![true; rbfs.len()], shape)
+    }
+
+    /// The same of a moment between two frames, where some stay and others come or go.
+    pub fn of_moment(rbfs: &[Rbf], stays: &[bool], shape: GridShape) -> Self {
         let dims = shape.dims.map(|n| n.div_ceil(BIN_CELLS));
         let bins = GridShape::new(dims);
         // The bins that every Gaussian meets, Gaussian by Gaussian, and how many Gaussians every bin has.
         let mut met = Vec::new();
         let mut counts = vec![0_u32; bins.len()];
+        let mut is_covered = vec![false; bins.len()];
         let ends: Vec<usize> = rbfs
             .iter()
-            .map(|rbf| {
+            .zip(stays)
+            .map(|(rbf, stays)| {
                 met_bins(rbf, shape, bins, |bin| {
                     met.push(bin as u32);
                     counts[bin] += 1;
+                    is_covered[bin] |= stays;
                 });
                 met.len()
             })
             .collect();
-        let mut candidates = Candidates::new(rbfs, shape, bins);
+        // Those that stay and do not meet the bin: no entry twice.
+        let staying: Vec<u32> = (0..).zip(stays).filter(|(_, stays)| **stays).map(|(index, _)| index).collect();
+        let mut candidates = Candidates::new(rbfs, &staying, shape, bins);
         let uncovered: Vec<(usize, Vec<u32>)> =
-            (0..bins.len()).filter(|&bin| counts[bin] == 0).map(|bin| (bin, candidates.nearest(bin))).collect();
+            (0..bins.len()).filter(|&bin| !is_covered[bin]).map(|bin| (bin, candidates.nearest(bin))).collect();
         for (bin, list) in &uncovered {
-            counts[*bin] = list.len() as u32;
+            counts[*bin] += list.len() as u32;
         }
 
         let mut offsets = Vec::with_capacity(bins.len() + 1);
@@ -63,9 +73,6 @@ impl RbfBins {
             offsets.push(end);
         }
         let mut indices = vec![0; end as usize];
-        for (bin, list) in uncovered {
-            indices[offsets[bin] as usize..][..list.len()].copy_from_slice(&list);
-        }
         // Where each bin's next entry goes; Gaussians come in order, so that lists ascend.
         let mut next = offsets.clone();
         let mut start = 0;
@@ -77,10 +84,15 @@ impl RbfBins {
             }
             start = end;
         }
+        for (bin, list) in uncovered {
+            let end = offsets[bin + 1] as usize;
+            indices[end - list.len()..end].copy_from_slice(&list);
+            indices[offsets[bin] as usize..end].sort_unstable();
+        }
         Self { dims, offsets, indices }
     }
 
-    /// An upper bound on the number of entries that [`new`](Self::new) would list, found without listing them.
+    /// An upper bound on the number of entries that would be listed, found without listing them.
     pub fn entry_bound(rbfs: &[Rbf], shape: GridShape) -> u64 {
         let dims = shape.dims.map(|n| n.div_ceil(BIN_CELLS));
         let reached = |rbf: &Rbf| {
@@ -151,19 +163,20 @@ const BLOCK: u32 = 4;
 /// Finds the nearest Gaussians of bins that no support meets: few of them can be, for all bins of a block.
 struct Candidates<'a> {
     rbfs: &'a [Rbf],
+    among: &'a [u32],
     shape: GridShape,
     bins: GridShape,
     blocks: HashMap<UVec3, Vec<u32>>,
 }
 
 impl<'a> Candidates<'a> {
-    fn new(rbfs: &'a [Rbf], shape: GridShape, bins: GridShape) -> Self {
-        Self { rbfs, shape, bins, blocks: HashMap::default() }
+    fn new(rbfs: &'a [Rbf], among: &'a [u32], shape: GridShape, bins: GridShape) -> Self {
+        Self { rbfs, among, shape, bins, blocks: HashMap::default() }
     }
 
     /// The [`NEAREST`] Gaussians to a bin's centre by distance over radius, ties by index; ascending.
     fn nearest(&mut self, bin: usize) -> Vec<u32> {
-        let (rbfs, shape, bins) = (self.rbfs, self.shape, self.bins);
+        let (rbfs, among, shape, bins) = (self.rbfs, self.among, self.shape, self.bins);
         let center = |bin: UVec3| {
             let (low, high) = grown_box(bin, shape);
             0.5 * (low + high)
@@ -172,17 +185,18 @@ impl<'a> Candidates<'a> {
         let block = bin / BLOCK;
         let candidates = self.blocks.entry(block).or_insert_with(|| {
             let (first, last) = (center(block * BLOCK), center((block * BLOCK + BLOCK - 1).min(bins.dims - 1)));
-            of_block(rbfs, 0.5 * (first + last), 0.5 * first.distance(last))
+            of_block(rbfs, among, 0.5 * (first + last), 0.5 * first.distance(last))
         });
         nearest(rbfs, candidates, center(bin))
     }
 }
 
 /// Those that may be among the [`NEAREST`] of some point within `reach` of `center`; ascending.
-fn of_block(rbfs: &[Rbf], center: Vec3, reach: f32) -> Vec<u32> {
-    let ranges: Vec<(f32, f32)> = rbfs
+fn of_block(rbfs: &[Rbf], among: &[u32], center: Vec3, reach: f32) -> Vec<u32> {
+    let ranges: Vec<(f32, f32)> = among
         .iter()
-        .map(|rbf| {
+        .map(|&index| {
+            let rbf = &rbfs[index as usize];
             let distance = center.distance(Vec3::from(rbf.center));
             ((distance - reach) / rbf.radius, (distance + reach) / rbf.radius)
         })
@@ -194,7 +208,7 @@ fn of_block(rbfs: &[Rbf], center: Vec3, reach: f32) -> Vec<u32> {
         Some(last) => *farthest.select_nth_unstable_by(last, f32::total_cmp).1 * 1.0001 + 1e-4,
         None => return Vec::new(),
     };
-    (0..).zip(ranges).filter(|(_, range)| range.0 <= enough).map(|(index, _)| index).collect()
+    among.iter().zip(ranges).filter(|(_, range)| range.0 <= enough).map(|(index, _)| *index).collect()
 }
 
 /// The [`NEAREST`] of some Gaussians to `point` by distance over radius, ties by index; ascending.

@@ -126,3 +126,16 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_bin_that_passing_gaussians_meet_lists_the_nearest_that_stay_too() {
+    let mut rbfs: Vec<Rbf> = (0..8).map(|i| rbf([-0.49 + 0.01 * i as f32, 0.0, 0.0], 0.015, 1.0)).collect();
+    rbfs.insert(5, rbf([0.49, 0.0, 0.0], 0.02, 1e-6));
+    let mut stays = vec![true; 9];
+    stays[5] = false;
+    let shape = GridShape::new(UVec3::new(64, 8, 8));
+    assert_eq!(RbfBins::of_moment(&rbfs, &stays, shape).at(UVec3::new(63, 0, 0)), [4, 5, 6, 7, 8]);
+    assert_eq!(RbfBins::new(&rbfs, shape).at(UVec3::new(63, 0, 0)), [5]);
+    // Elsewhere it is as if there were none.
+    assert_eq!(RbfBins::of_moment(&rbfs, &stays, shape).at(UVec3::new(33, 0, 0)), [4, 6, 7, 8]);
+}

@@ -77,7 +77,7 @@ impl GpuSmokeFrame {
         queue: &RenderQueue,
     ) -> Self {
         let shape = moment.shape();
-        let bins = RbfBins::new(rbfs, shape);
+        let bins = RbfBins::of_moment(rbfs, &moment.stays(), shape);
         let rbf_capacity = rbf_capacity(rbfs.len() as u32);
         let [uniform, rbf_buffer, bin_offsets, bin_indices] = buffers(rbf_capacity, &bins, device);
         let mut frame = Self {
@@ -108,7 +108,7 @@ impl GpuSmokeFrame {
         device: &RenderDevice,
         queue: &RenderQueue,
     ) {
-        let bins = RbfBins::new(rbfs, self.shape);
+        let bins = RbfBins::of_moment(rbfs, &moment.stays(), self.shape);
         if rbfs.len() as u32 > self.rbf_capacity || 4 * bins.indices.len() as u64 > self.bin_indices.size() {
             self.rbf_capacity = self.rbf_capacity.max(rbf_capacity(rbfs.len() as u32));
             [self.uniform, self.rbfs, self.bin_offsets, self.bin_indices] = buffers(self.rbf_capacity, &bins, device);

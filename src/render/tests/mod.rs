@@ -16,6 +16,7 @@ mod pair_matrix;
 mod paper;
 mod pipelines;
 mod scattering;
+mod scenes;
 mod view;
 mod volume;
 
