@@ -57,6 +57,9 @@ struct Smoke {
 struct Vertex {
     @builtin(position) position: vec4<f32>,
     @location(0) @interpolate(flat) sample: u32,
+    // `smoke.glow_count`. Where a uniform bounds a loop, Mesa's CPU driver (lavapipe 22.3) compiles the fragment shader anew
+    // at every draw, and never lets go of it; a value from the vertex stage is as good and costs nothing.
+    @location(1) @interpolate(flat) glow_count: u32,
 }
 
 @vertex
@@ -65,7 +68,7 @@ fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) sample: u3
         select(smoke.rectangle.x, smoke.rectangle.z, (index & 1u) == 1u),
         select(smoke.rectangle.y, smoke.rectangle.w, (index & 2u) == 2u),
     );
-    return Vertex(vec4(corner, 0.0, 1.0), sample);
+    return Vertex(vec4(corner, 0.0, 1.0), sample, smoke.glow_count);
 }
 
 struct Ray {
@@ -149,7 +152,7 @@ fn near_light(glow: Glow, ray: Ray, leave: f32, footprint: vec2<f32>) -> vec3<f3
 }
 
 // Radiance in RGB, transmittance in alpha.
-fn march(ray: Ray, leave: f32, footprint: vec2<f32>) -> vec4<f32> {
+fn march(ray: Ray, leave: f32, footprint: vec2<f32>, glow_count: u32) -> vec4<f32> {
     let length = leave - ray.enter;
     let steps = u32(ceil(length / (0.5 * smoke.cell)));
     let step = length / f32(steps);
@@ -158,7 +161,7 @@ fn march(ray: Ray, leave: f32, footprint: vec2<f32>) -> vec4<f32> {
     for (var i = 0u; i < steps; i++) {
         let x = ray.origin + ray.direction * (ray.enter + (f32(i) + 0.5) * step);
         let s = textureSampleLevel(volume, volume_sampler, texture_position(x), 0.0);
-        for (var j = 0u; j < smoke.glow_count; j++) {
+        for (var j = 0u; j < glow_count; j++) {
             let at = (nearest(smoke.glows[j], ray, leave) - ray.enter) / step;
             if min(u32(at), steps - 1u) == i {
                 radiance += near_light(smoke.glows[j], ray, leave, footprint) * transmittance;
@@ -229,7 +232,7 @@ fn fragment(in: Vertex) -> Fragment {
     if leave <= ray.enter {
         discard;
     }
-    let marched = march(ray, leave, footprint);
+    let marched = march(ray, leave, footprint, in.glow_count);
     let opacity = 1.0 - marched.a;
     // The target may be f16, which must not overflow.
     var color = min(marched.rgb * smoke.radiance_scale, vec3(65504.0));
