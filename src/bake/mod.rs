@@ -5,6 +5,7 @@
 //! of a [`FrameReport`] is measured on what a game will load.
 
 mod frame;
+mod join;
 mod parts;
 mod picture;
 mod process;
@@ -17,7 +18,7 @@ mod track;
 mod verify;
 
 use std::io::Cursor;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use crate::bundle::{self, BundleError, BundleHeader, BundleWriter, FrameError, SmokeAnimation, WriteError};
@@ -26,6 +27,7 @@ use crate::rbf::fit::{FitError, FitProgress, FitTarget};
 use crate::residual::ResidualError;
 
 use frame::{FinishedFrame, Step, finish};
+pub use join::{Joined, Seam, join};
 pub use picture::{PictureError, picture_error};
 pub use process::{VdbBaker, VdbBakerSettings};
 pub use report::{
@@ -64,10 +66,11 @@ pub struct BakeSettings {
 impl BakeSettings {
     /// Most Gaussians a frame may get.
     pub fn most_rbfs(&self) -> usize {
-        self.max_rbfs.unwrap_or(match self.target {
+        let most = self.max_rbfs.unwrap_or(match self.target {
             FitTarget::Count(count) => 2 * count,
             FitTarget::Error(_) => 2000,
-        })
+        });
+        most.min(bundle::MAX_RBFS as usize)
     }
 }
 
@@ -194,11 +197,16 @@ pub fn bake(grid: &DensityGrid, settings: &BakeSettings, progress: &dyn Fn(BakeP
         writer.push(&packed)?;
         writer.finish(max_density)
     };
-    let (file, header) = write().map_err(|error| match error {
-        WriteError::Bundle(error) => BakeError::Bundle(error),
-        WriteError::Io(source) => BakeError::Io { path: PathBuf::new(), source },
-    })?;
+    let (file, header) = write().map_err(|error| at(Path::new("memory"), error))?;
     Ok(Baked { animation: header.animation(vec![frame].into()), file: file.into_inner(), report })
+}
+
+/// What went wrong with a file.
+fn at(path: &Path, error: WriteError) -> BakeError {
+    match error {
+        WriteError::Io(source) => BakeError::Io { path: path.into(), source },
+        WriteError::Bundle(error) => BakeError::Bundle(error),
+    }
 }
 
 /// Seconds since it was last asked.

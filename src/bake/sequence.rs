@@ -16,7 +16,7 @@ use super::parts::{Input, Job, Part, PartFigures, WorkFolder, replace};
 use super::report::{FitSummary, InputReport, SequenceReport, StageSeconds, SummaryReport};
 use super::survey::{Survey, survey};
 use super::track::Track;
-use super::{BakeError, BakeSettings, Clock};
+use super::{BakeError, BakeSettings, Clock, at};
 use crate::bundle::{self, BundleError, BundleHeader, BundleWriter, WriteError};
 use crate::density::DensityGrid;
 use crate::rbf::fit::{FitProgress, NumberedRbfs};
@@ -326,11 +326,4 @@ pub(super) fn verify(path: &Path, expected: &BundleHeader) -> Result<(), WriteEr
 
 fn in_frame(path: &Path, source: BakeError) -> BakeError {
     BakeError::Frame { path: path.into(), source: source.into() }
-}
-
-fn at(path: &Path, error: WriteError) -> BakeError {
-    match error {
-        WriteError::Io(source) => BakeError::Io { path: path.into(), source },
-        WriteError::Bundle(error) => BakeError::Bundle(error),
-    }
 }

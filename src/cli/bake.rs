@@ -193,12 +193,15 @@ fn warn(report: &SequenceReport, settings: &BakeSettings) {
         let fits = || short.iter().map(|&index| &report.frames[index].report.fit);
         let worst = 100.0 * fits().map(|fit| fit.error).fold(0.0, f64::max);
         let ratio = fits().map(|fit| fit.ratio).fold(0.0, f64::max);
-        let limit = match settings.target {
-            FitTarget::Count(_) => format!("{} times the first frame's, up to {ratio:.2} times", settings.threshold),
-            FitTarget::Error(error) => format!("{} %", 100.0 * error),
+        let beyond = match settings.target {
+            FitTarget::Count(_) if ratio > f64::from(settings.threshold) => {
+                format!("above {} times the first frame's, up to {ratio:.2} times", settings.threshold)
+            }
+            FitTarget::Count(_) => "with fewer RBFs than asked for".into(),
+            FitTarget::Error(error) => format!("above {} %", 100.0 * error),
         };
         let short = ranges(short.into_iter());
-        eprintln!("warning: frame {short}: {reason}; fit error up to {worst:.2} %, above {limit}");
+        eprintln!("warning: frame {short}: {reason}; fit error up to {worst:.2} %, {beyond}");
     }
 }
 

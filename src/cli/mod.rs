@@ -7,6 +7,7 @@ pub mod compare;
 pub mod exr_io;
 pub mod frames;
 pub mod info;
+pub mod join;
 pub mod output;
 pub mod path;
 pub mod render;
@@ -27,6 +28,9 @@ enum Cli {
     /// Bake density files (OpenVDB or NumPy) into a .smoke bundle
     #[command(after_help = bake::EXAMPLES)]
     Bake(bake::BakeArgs),
+    /// Join the bundles of a sequence's segments into one
+    #[command(after_help = join::EXAMPLES)]
+    Join(join::JoinArgs),
     /// Show what a .smoke bundle holds, and check it for damage
     #[command(after_help = info::EXAMPLES)]
     Info(info::InfoArgs),
@@ -74,6 +78,7 @@ fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     };
     let result = match cli {
         Cli::Bake(args) => bake::run(&args),
+        Cli::Join(args) => join::run(&args),
         Cli::Info(args) => info::run(&args),
         Cli::Render(args) => render::run(args),
         Cli::Compare(args) => compare::run(&args),

@@ -323,3 +323,42 @@ fn frames_of_other_boxes_are_refused() {
     );
     assert!(!shop.output().exists());
 }
+
+#[test]
+fn joined_segments_are_one_animation() {
+    let shop = Workshop::new(&[smoke(0.0), smoke(0.5), smoke(1.0), smoke(1.5), smoke(2.0)]);
+    let segments: Vec<PathBuf> = (1..=2)
+        .map(|number| {
+            shop.try_bake(&settings(), Segment { number, of: 2 }, &|_| {}).unwrap();
+            let path = shop.folder.path().join(format!("segment_{number}.smoke"));
+            fs::rename(shop.output(), &path).unwrap();
+            path
+        })
+        .collect();
+    let mut file = Cursor::new(Vec::new());
+    let joined = join(&segments, &shop.output(), &mut file).unwrap();
+    let animation = bundle::read(file.get_ref()).unwrap();
+    assert_eq!((joined.frames, animation.frames.len()), (5, 5));
+    assert_eq!(joined.bytes, file.get_ref().len() as u64);
+
+    let parts: Vec<SmokeAnimation> =
+        segments.iter().map(|path| bundle::read(&fs::read(path).unwrap()).unwrap()).collect();
+    let apart: Vec<_> = parts.iter().flat_map(frames).collect();
+    for (together, apart) in frames(&animation).iter().zip(&apart) {
+        assert_eq!((&together.rbfs, &together.residual), (&apart.rbfs, &apart.residual));
+    }
+    assert_eq!(animation.max_density, parts.iter().map(|part| part.max_density).fold(0.0, f32::max));
+    // Whoever has the number of an earlier one across the seam is its match; no other number comes twice.
+    let numbers = |range: std::ops::Range<usize>| -> std::collections::HashSet<u32> {
+        frames(&animation)[range].iter().flat_map(|frame| frame.ids.iter().copied()).collect()
+    };
+    let [seam] = joined.seams[..] else { panic!("one seam") };
+    assert_eq!(numbers(0..2).intersection(&numbers(2..5)).count(), seam.matched);
+    assert!(seam.matched >= 2, "{seam:?}");
+
+    let other = Workshop::new(&[smoke(0.0)]);
+    other.try_bake(&BakeSettings { frames_per_second: 24.0, ..settings() }, Segment::WHOLE, &|_| {}).unwrap();
+    let mixed = [segments[0].clone(), other.output()];
+    let refused = join(&mixed, &shop.output(), Cursor::new(Vec::new())).unwrap_err().to_string();
+    assert!(refused.contains("the speed of") && refused.contains("is 24, that of"), "{refused}");
+}

@@ -13,16 +13,20 @@ use super::{FitError, FitProgress, FitReport, FitStage, WEIGHT, check, relative_
 use crate::density::GridShape;
 use crate::rbf::{Rbf, RbfModel};
 
-/// Share of the Gaussians that is deleted before a frame is fitted: the least significant.
+/// Share of the Gaussians that is deleted before a frame is fitted: the least significant. Rounded down: few Gaussians are
+/// all needed. On every other of 18 frames of a plume the fit's error is 15.9 % with none, 14.8 % with 2 % and 14.1 % with
+/// 5 %; what lies half-way between two frames is 22.8 % off the frame there with each.
 const DELETED: f64 = 0.02;
 /// Share of the Gaussians that a frame better than its limit may lose, where as few are wanted as it takes.
 const TRIMMED: f64 = 0.1;
 /// Gaussians are added in batches that grow the model by at most this factor, and at most this many batches.
 const GROWTH: f64 = 1.4;
 const BATCHES: u32 = 12;
-/// Iterations of the minimiser from the frame before, after a batch, and on the full grid.
-const MOVE_ITERATIONS: u32 = 20;
-const INSERT_ITERATIONS: u32 = 12;
+/// Iterations of the minimiser from the frame before, after a batch, and on the full grid. A third of the first two have
+/// errors of 14.8 % for 13.2 % on the frames above, and 22.8 % for 22.3 % half-way. Moving centres alone at first, or
+/// on a coarser copy, is worse half-way: 23.4 to 23.9 %; fading one frame into the other would be 28.4 % off.
+const MOVE_ITERATIONS: u32 = 60;
+const INSERT_ITERATIONS: u32 = 30;
 const POLISH_ITERATIONS: u32 = 8;
 /// Power of the count with which errors fall, for guesses of how many are missing.
 const POWER: f64 = 0.35;
@@ -124,7 +128,7 @@ impl<'a> Track<'a> {
     fn run(&mut self, settings: &FollowSettings) {
         let started = Instant::now();
         let FollowSettings { limit, max_rbfs, trim } = *settings;
-        let few = (self.indices.len() as f64 * DELETED).ceil() as usize;
+        let few = (self.indices.len() as f64 * DELETED) as usize;
         self.delete(few.max(self.indices.len().saturating_sub(max_rbfs)));
 
         let factor = self.search.shape.longest().div_ceil(MIDDLE);
@@ -136,12 +140,14 @@ impl<'a> Track<'a> {
         let faded = self.search.rbfs.iter().filter(|rbf| rbf.weight <= WEIGHT.0).count();
         let spare = if trim && error < limit { count - count_for(limit, count, error, POWER).min(count) } else { 0 };
         self.delete(faded.max(spare.min((count as f64 * TRIMMED) as usize)));
+        self.search.done = 0.5;
         if self.indices.len() < count {
             error = self.minimize(&mut objective, INSERT_ITERATIONS, FitStage::Follow);
         }
         self.search.add_seconds(FitStage::Follow, started);
 
         let started = Instant::now();
+        self.search.done = 0.7;
         for _ in 0..BATCHES {
             let count = self.indices.len();
             if error <= limit || count >= max_rbfs {
@@ -165,6 +171,7 @@ impl<'a> Track<'a> {
 
         if factor > 1 {
             let started = Instant::now();
+            self.search.done = 0.9;
             let field = self.search.field(1);
             self.minimize(&mut Objective::new(&field), POLISH_ITERATIONS, FitStage::Polish);
             self.search.add_seconds(FitStage::Polish, started);

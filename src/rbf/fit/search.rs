@@ -47,7 +47,7 @@ pub(super) struct Search<'a> {
     pub report: FitReport,
     progress: &'a dyn Fn(FitProgress),
     /// Share of the work that is done, and that the current stage will have done by its end.
-    done: f32,
+    pub done: f32,
     until: f32,
 }
 
