@@ -1,6 +1,6 @@
 //! What quantisation does to a picture.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::verify::relative;
 use crate::bundle::SmokeFrame;
@@ -17,7 +17,7 @@ const SMOKE_OPACITY: f64 = 0.02;
 /// shining with source radiance 1, so that a pixel is 1 − e^(−σ ∫ D dz), which is also the smoke's opacity. σ is set so
 /// that the optical depth averages 2 over the pixels with smoke in them (opacity above 0.02): thin enough to see in,
 /// thick enough to shade. There is no light to compute and no noise, so what differs comes from the density alone.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PictureError {
     /// With the bundle's density: what quantisation costs.
     pub quantized: f64,

@@ -1,6 +1,9 @@
+mod sequence;
+
 use glam::{DVec3, UVec3};
 
 use super::*;
+use crate::bundle::SmokeFrame;
 use crate::density::{GridShape, Placement, SourceInfo};
 
 /// Two blobs and a ripple too fine for the Gaussians, so that there is something to leave to the residual.
@@ -68,7 +71,8 @@ fn the_report_agrees_with_the_bundle() {
     assert_eq!(report.fit.rbfs, frame.rbfs.rbfs.len());
     let error = f64::from(crate::rbf::fit::relative_error(grid.shape, &grid.values, &frame.rbfs));
     assert!((report.fit.error - error).abs() < 1e-6);
-    assert_eq!(report.bytes.file, file.len());
+    let frame_bytes = bundle::BundleHeader::read(&file).unwrap().frames[0].length;
+    assert_eq!(report.bytes.file as u64, frame_bytes);
     assert_eq!(report.residual.count, frame.residual.count());
     // Quantisation is a small part of what the Gaussians leave out: 127 steps a side.
     assert!(report.picture.quantized > 0.0);

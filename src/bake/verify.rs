@@ -1,15 +1,17 @@
 //! What quantisation costs, cell by cell, measured on the finished bundle.
 
-use serde::Serialize;
+use std::borrow::Cow;
+
+use serde::{Deserialize, Serialize};
 
 use crate::bundle::SmokeFrame;
 use crate::residual::QuantizationLaw;
 
 /// The error that 8 bits a residual leave, over all cells of a frame.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct QuantizationReport {
     /// The law in words.
-    pub law: &'static str,
+    pub law: Cow<'static, str>,
     /// Its maximum: the largest |R|, in units of density.
     pub max: f32,
     /// Its exponent.
@@ -24,7 +26,7 @@ pub struct QuantizationReport {
 }
 
 /// The largest error of any cell, and where it is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Worst {
     /// The error.
     pub error: f64,
@@ -55,7 +57,7 @@ impl QuantizationReport {
         }
         worst_half_steps.error = (worst_half_steps.error * 1e4).round() / 1e4;
         Self {
-            law: "R(q) = sign(q) * max * (|q| / 127)^exponent, q in -127..=127",
+            law: "R(q) = sign(q) * max * (|q| / 127)^exponent, q in -127..=127".into(),
             max: law.max,
             exponent: law.exponent,
             worst_half_steps,

@@ -46,48 +46,6 @@ pub fn read(bytes: &[u8]) -> Result<SmokeAnimation, BundleError> {
     Ok(header.animation(SmokeFrames::Memory(frames)))
 }
 
-/// The bytes of a file holding `animation`.
-///
-/// # Errors
-///
-/// An animation that breaks a limit of the format, so that [`read`] would refuse it.
-#[cfg(feature = "bake")]
-pub fn write(animation: &SmokeAnimation) -> Result<Vec<u8>, BundleError> {
-    let SmokeFrames::Memory(frames) = &animation.frames;
-    if frames.len() > MAX_FRAMES as usize {
-        return Err(BundleError::header("frame_count", format!("{} is above {MAX_FRAMES}", frames.len())));
-    }
-    let mut entries = Vec::new();
-    let mut data = Vec::new();
-    let start = BundleHeader::length_with(frames.len());
-    for (index, smoke) in frames.iter().enumerate() {
-        if smoke.residual.shape() != animation.shape {
-            return Err(FrameError::field("residual", "its box is not the animation's").at(index));
-        }
-        let payload = frame::encode(smoke);
-        let compressed = frame::compress(&payload).map_err(|error| error.at(index))?;
-        entries.push(FrameEntry {
-            offset: (start + data.len()) as u64,
-            length: compressed.len() as u64,
-            uncompressed: payload.len() as u64,
-            crc32: crc32fast::hash(&compressed),
-        });
-        data.extend_from_slice(&compressed);
-    }
-    let header = BundleHeader {
-        shape: animation.shape,
-        placement: animation.placement,
-        frames_per_second: animation.frames_per_second,
-        max_density: animation.max_density,
-        frames: entries,
-    };
-    let mut bytes = header.encode();
-    bytes.extend_from_slice(&data);
-    // The reader's checks are the format's definition: what it accepts is well-formed.
-    read(&bytes)?;
-    Ok(bytes)
-}
-
 /// The header of a file: everything but the frames, and where to find each of them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BundleHeader {
@@ -146,10 +104,7 @@ impl BundleHeader {
         }
         let length = fields.u32();
         let frames = fields.u32();
-        if !(1..=MAX_FRAMES).contains(&frames) {
-            return Err(BundleError::header("frame_count", format!("{frames} is not from 1 to {MAX_FRAMES}")));
-        }
-        let expected = Self::length_with(frames as usize);
+        let expected = Self::length_with(check_count(u64::from(frames))?);
         if length as usize != expected {
             return Err(BundleError::header("header_length", format!("{length}, but {frames} frames need {expected}")));
         }
@@ -265,12 +220,19 @@ impl BundleHeader {
         self.frames.last().map_or(0, |last| last.offset + last.length)
     }
 
-    const fn length_with(frames: usize) -> usize {
+    pub(super) const fn length_with(frames: usize) -> usize {
         Self::FIXED_BYTES + TABLE_ENTRY * frames + CHECKSUM
     }
 
+    /// A header whose frame table is still empty.
     #[cfg(feature = "bake")]
-    fn encode(&self) -> Vec<u8> {
+    pub(super) fn without_frames(animation: &SmokeAnimation) -> Self {
+        let SmokeAnimation { shape, placement, frames_per_second, max_density, .. } = *animation;
+        Self { shape, placement, frames_per_second, max_density, frames: Vec::new() }
+    }
+
+    #[cfg(feature = "bake")]
+    pub(super) fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(Self::length_with(self.frames.len()));
         bytes.extend(MAGIC);
         let count = self.frames.len() as u32;
@@ -293,6 +255,14 @@ impl BundleHeader {
         bytes.extend(crc32fast::hash(&bytes).to_le_bytes());
         bytes
     }
+}
+
+/// Whether a file may have `frames` frames.
+pub(super) fn check_count(frames: u64) -> Result<usize, BundleError> {
+    if !(1..=u64::from(MAX_FRAMES)).contains(&frames) {
+        return Err(BundleError::header("frame_count", format!("{frames} is not from 1 to {MAX_FRAMES}")));
+    }
+    Ok(frames as usize)
 }
 
 fn header_truncated(expected: usize, found: usize) -> BundleError {

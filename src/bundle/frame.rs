@@ -162,7 +162,7 @@ mod writing {
     const LEVEL: i32 = 19;
 
     /// Uncompressed bytes of each part of a frame.
-    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
     pub struct SectionBytes {
         /// Counts and quantisation law.
         pub counts: u64,

@@ -1,17 +1,19 @@
-//! `smoke bake`: a density file into a bundle.
+//! `smoke bake`: density files into a bundle.
 
-use std::path::PathBuf;
-use std::time::Instant;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::ensure;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use serde::Serialize;
 
+use super::frames;
 use super::output::{OutputFile, print};
-use crate::bake::{BakeProgress, BakeReport, BakeSettings, Baked, bake};
+use crate::bake::{
+    BakeSettings, InputReport, Segment, Sequence, SequenceProgress, SequenceReport, SourceReport, SummaryReport,
+    bake_sequence,
+};
 use crate::bundle::MAX_RBFS;
-use crate::density::{self, DensityGrid};
+use crate::density::DensityGrid;
 use crate::rbf::fit::FitTarget;
 
 pub(super) const EXAMPLES: &str = "\
@@ -19,27 +21,48 @@ More Gaussians make light more accurate and cost more per frame; the residual ke
 whatever their number. 300 to 600 do for most smoke (the default is 600).
 
   smoke bake plume_0031.vdb -o plume.smoke
-  smoke bake plume_0031.vdb -o plume.smoke --rbfs 300 --report plume.json
-  smoke bake plume_0031.vdb -o plume.smoke --error 0.1    as many as it takes for a fit within 10 %
+  smoke bake plume_*.vdb -o plume.smoke --rbfs 300 --report plume.json
+  smoke bake 'plume_*.vdb' -o plume.smoke           the same, sorted by number: 9 before 10 without zeros too
+  smoke bake plume_%04d.vdb -o plume.smoke          all numbers there are; a gap is an error
+  smoke bake cloud.vdb -o cloud.smoke --error 0.1   as many as it takes for a fit within 10 %
   smoke bake cloud.vdb -o cloud.smoke --grid density_2    a grid of another name
 
-The same input, settings and seed give the same bundle. Sequences of several frames are not supported yet.";
+FRAMES are taken in the order given (the shell sorts its patterns letter by letter). All frames get one box, so their
+voxels have to be of one grid. Each frame is fitted from the one before: --rbfs is the number of Gaussians in the first,
+later ones get more while their error is above --threshold times the first's, up to --max-rbfs.
+
+A bake that was stopped, or killed, goes on when the same command is given again, and gives the same bytes: what is done
+is kept in OUT.smoke.parts until all is. Inputs, settings and seed decide the bundle; threads do not.
+
+Segments bake on as many machines as there are, here with GNU parallel; any farm's scheduler does:
+
+  parallel smoke bake 'plume_*.vdb' -o seg{}.smoke --segment {}/4 ::: 1 2 3 4
+  smoke join seg1.smoke seg2.smoke seg3.smoke seg4.smoke -o plume.smoke";
 
 /// Options of `smoke bake`.
 #[derive(Args, Debug)]
 pub struct BakeArgs {
-    /// The density file, OpenVDB (.vdb) or NumPy (.npy)
+    /// The density files, OpenVDB (.vdb) or NumPy (.npy), one a frame; quoted, `name_*.vdb` and `name_%04d.vdb` work too
     #[arg(required = true, value_name = "FRAMES")]
     frames: Vec<PathBuf>,
     /// The bundle to write
     #[arg(short, long, value_name = "OUT.smoke")]
     output: PathBuf,
-    /// Number of Gaussians [default: 600]
+    /// Number of Gaussians in the first frame [default: 600]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_RBFS)), conflicts_with = "error")]
     rbfs: Option<u32>,
     /// Error of the fit to reach instead, relative to the density (0.02 is 2 %)
     #[arg(long, value_name = "ERROR", value_parser = fit_error)]
     error: Option<f32>,
+    /// Most Gaussians in a later frame [default: twice --rbfs, with --error 2000]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_RBFS)))]
+    max_rbfs: Option<u32>,
+    /// Later frames get more Gaussians while their error is above this times the first frame's; at least 1
+    #[arg(long, default_value_t = BakeSettings::default().threshold, value_parser = threshold)]
+    threshold: f32,
+    /// Bake only the K-th of N runs of the frames, in the box of all: see `smoke join`
+    #[arg(long, value_name = "K/N", value_parser = segment)]
+    segment: Option<Segment>,
     /// Name of the grid in an OpenVDB file [default: density, or the only one there is]
     #[arg(long)]
     grid: Option<String>,
@@ -64,73 +87,136 @@ fn frames_per_second(text: &str) -> Result<f32, String> {
     if fps > 0.0 && fps.is_finite() { Ok(fps) } else { Err("not above 0".into()) }
 }
 
+fn threshold(text: &str) -> Result<f32, String> {
+    let threshold: f32 = text.parse().map_err(|_| "not a number".to_string())?;
+    if threshold >= 1.0 && threshold.is_finite() { Ok(threshold) } else { Err("below 1".into()) }
+}
+
+fn segment(text: &str) -> Result<Segment, String> {
+    let parse = || {
+        let (number, of) = text.split_once('/')?;
+        let (number, of) = (number.parse().ok()?, of.parse().ok()?);
+        (1..=of).contains(&number).then_some(Segment { number, of })
+    };
+    parse().ok_or_else(|| "not K/N with K from 1 to N".into())
+}
+
 /// Runs `smoke bake`.
 pub fn run(args: &BakeArgs) -> anyhow::Result<()> {
-    let [input] = args.frames.as_slice() else {
-        bail!("{} frames given, but sequences are not supported yet: bake one frame", args.frames.len());
+    let inputs = frames::expand(&args.frames)?;
+    let taken: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
+    let output = OutputFile::prepare(&args.output, &taken)?;
+    let taken: Vec<&Path> = taken.into_iter().chain([args.output.as_path()]).collect();
+    let report_file = args.report.as_deref().map(|path| OutputFile::prepare(path, &taken)).transpose()?;
+    if !frames::is_in_natural_order(&inputs) {
+        eprintln!("warning: the frames are not in the order of their numbers; quote the pattern to have it sorted");
+    }
+    if let (Some(rbfs), Some(most)) = (args.rbfs, args.max_rbfs) {
+        ensure!(most >= rbfs, "--max-rbfs {most} is less than --rbfs {rbfs}");
+    }
+
+    let settings = settings(args);
+    let sequence = Sequence {
+        inputs: &inputs,
+        grid: args.grid.as_deref(),
+        segment: args.segment.unwrap_or(Segment::WHOLE),
+        output: output.path(),
     };
-    let output = OutputFile::prepare(&args.output, &[input])?;
-    let report_file =
-        args.report.as_deref().map(|path| OutputFile::prepare(path, &[input, &args.output])).transpose()?;
+    let bar = Bar::new(inputs.len(), sequence.segment);
+    let result = bake_sequence(&sequence, &settings, &|progress| bar.show(&progress));
+    bar.0.finish_and_clear();
+    let report = result?;
+    warn(&report, &settings);
+    if let Some(report_file) = report_file {
+        report_file.write(format!("{}\n", serde_json::to_string_pretty(&report)?).as_bytes())?;
+    }
+    print(&format!("{}: {}\n", args.output.display(), summary(&report)))
+}
 
-    let started = Instant::now();
-    let grid = density::read(input, args.grid.as_deref())?;
-    let read_seconds = started.elapsed().as_secs_f64();
-    warn_of_lost_smoke(&grid);
-
+fn settings(args: &BakeArgs) -> BakeSettings {
     let defaults = BakeSettings::default();
     let target = match (args.rbfs, args.error) {
         (Some(rbfs), _) => FitTarget::Count(rbfs as usize),
         (None, Some(error)) => FitTarget::Error(error),
         (None, None) => defaults.target,
     };
-    let settings = BakeSettings { target, seed: args.seed, frames_per_second: args.fps, ..defaults };
-    let bar = progress_bar();
-    let result = bake(&grid, &settings, &|progress| show(&bar, &progress));
-    bar.finish_and_clear();
-    let Baked { file, report, .. } = result.with_context(|| input.display().to_string())?;
-    if !report.fit.reached {
-        let (rbfs, error) = (report.fit.rbfs, 100.0 * report.fit.error);
-        eprintln!(
-            "warning: {rbfs} RBFs and an error of {error:.2} % are the best fit found, short of what was asked for"
-        );
+    BakeSettings {
+        target,
+        max_rbfs: args.max_rbfs.map(|most| most as usize),
+        threshold: args.threshold,
+        seed: args.seed,
+        frames_per_second: args.fps,
+        ..defaults
     }
-
-    output.write(&file)?;
-    let summary = summary(&report);
-    if let Some(report_file) = report_file {
-        let report = FileReport {
-            input: input.display().to_string(),
-            output: args.output.display().to_string(),
-            read_seconds,
-            report,
-        };
-        report_file.write(format!("{}\n", serde_json::to_string_pretty(&report)?).as_bytes())?;
-    }
-    print(&format!("{}: {summary}\n", args.output.display()))
 }
 
-/// A bake's figures with the files they belong to.
-#[derive(Serialize)]
-struct FileReport {
-    input: String,
-    output: String,
-    /// Seconds spent reading the input.
-    read_seconds: f64,
-    #[serde(flatten)]
-    report: BakeReport,
-}
-
-fn summary(report: &BakeReport) -> String {
+fn summary(report: &SequenceReport) -> String {
+    let SummaryReport { frames, rbfs: [fewest, most], worst_error, worst_frame, bytes, .. } = report.summary;
+    let plural = if frames == 1 { "" } else { "s" };
+    let rbfs = if fewest == most { most.to_string() } else { format!("{fewest} to {most}") };
+    let quantized = report.frames.iter().map(|frame| frame.report.picture.quantized).fold(0.0, f64::max);
+    let baked = frames - report.summary.resumed;
     format!(
-        "{} RBFs, fit error {:.2} %, {} residuals, {} bytes, quantisation error {:.4} % of the picture, {:.1} s",
-        report.fit.rbfs,
-        100.0 * report.fit.error,
-        report.residual.count,
-        report.bytes.file,
-        100.0 * report.picture.quantized,
-        report.seconds.fit + report.seconds.residual + report.seconds.compress + report.seconds.verify,
+        "{frames} frame{plural}, {rbfs} RBFs, fit error up to {:.2} % (frame {worst_frame}, {}), quantisation error up to {:.4} % of \
+         the picture, {bytes} bytes ({:.0} a frame), {:.1} s ({:.2} a frame)",
+        100.0 * worst_error,
+        report.frames[worst_frame].input,
+        100.0 * quantized,
+        report.summary.bytes_per_frame,
+        report.summary.seconds,
+        report.summary.seconds / baked.max(1) as f64,
     )
+}
+
+/// One line for every kind of thing to know about a bake.
+fn warn(report: &SequenceReport, settings: &BakeSettings) {
+    let frames_with = |has: fn(&SourceReport) -> bool| {
+        let frames = report.frames.iter().enumerate().filter(|(_, frame)| has(&frame.report.source));
+        ranges(frames.map(|(index, _)| index))
+    };
+    let negative = frames_with(|source| source.negative_voxels > 0);
+    if !negative.is_empty() {
+        eprintln!("warning: voxels of negative density are taken as empty (frame {negative})");
+    }
+    let background = frames_with(|source| source.background != 0.0);
+    if !background.is_empty() {
+        eprintln!("warning: the grid's background is not 0; smoke outside its box is lost (frame {background})");
+    }
+    let with_reason = |frame: &InputReport| frame.report.fit.shortfall.clone();
+    let mut reasons: Vec<String> = report.frames.iter().filter_map(with_reason).collect();
+    reasons.sort();
+    reasons.dedup();
+    for reason in reasons {
+        let short: Vec<usize> = (0..report.frames.len())
+            .filter(|&index| report.frames[index].report.fit.shortfall.as_ref() == Some(&reason))
+            .collect();
+        let fits = || short.iter().map(|&index| &report.frames[index].report.fit);
+        let worst = 100.0 * fits().map(|fit| fit.error).fold(0.0, f64::max);
+        let ratio = fits().map(|fit| fit.ratio).fold(0.0, f64::max);
+        let beyond = match settings.target {
+            FitTarget::Count(_) if ratio > f64::from(settings.threshold) => {
+                format!("above {} times the first frame's, up to {ratio:.2} times", settings.threshold)
+            }
+            FitTarget::Count(_) => "with fewer RBFs than asked for".into(),
+            FitTarget::Error(error) => format!("above {} %", 100.0 * error),
+        };
+        let short = ranges(short.into_iter());
+        eprintln!("warning: frame {short}: {reason}; fit error up to {worst:.2} %, {beyond}");
+    }
+}
+
+/// Numbers as ranges: `0, 3–7, 9`.
+fn ranges(numbers: impl Iterator<Item = usize>) -> String {
+    let mut ranges: Vec<(usize, usize)> = Vec::new();
+    for number in numbers {
+        match ranges.last_mut() {
+            Some((_, last)) if *last + 1 == number => *last = number,
+            _ => ranges.push((number, number)),
+        }
+    }
+    let text =
+        |(first, last): &(usize, usize)| if first == last { first.to_string() } else { format!("{first}–{last}") };
+    ranges.iter().map(text).collect::<Vec<_>>().join(", ")
 }
 
 /// Warns of what a density file holds that is not taken over.
@@ -143,10 +229,8 @@ pub(super) fn warn_of_lost_smoke(grid: &DensityGrid) {
     }
 }
 
-/// Steps of the progress bar.
+/// Steps of a progress bar, or of one frame in a bar of several.
 pub(super) const BAR_STEPS: u64 = 1000;
-/// Share of the bar for the fit, which takes most of the time.
-const FIT_SHARE: f32 = 0.9;
 
 /// A bar on standard error, invisible where that is not a terminal.
 pub(super) fn progress_bar() -> ProgressBar {
@@ -156,17 +240,37 @@ pub(super) fn progress_bar() -> ProgressBar {
     bar
 }
 
-fn show(bar: &ProgressBar, progress: &BakeProgress) {
-    let (position, message) = match progress {
-        BakeProgress::Fitting(fit) => {
-            (fit.fraction * FIT_SHARE, format!("{} RBFs, {:.1} %", fit.rbfs, 100.0 * fit.error))
+/// The bar of a whole bake.
+struct Bar(ProgressBar, usize);
+
+impl Bar {
+    fn new(inputs: usize, segment: Segment) -> Self {
+        let bar = progress_bar();
+        let frames = segment.range(inputs).len();
+        bar.set_length(frames as u64 * BAR_STEPS);
+        Self(bar, frames)
+    }
+
+    fn show(&self, progress: &SequenceProgress) {
+        let Self(bar, frames) = self;
+        let reach = |position: u64| bar.set_position(bar.position().max(position));
+        match *progress {
+            SequenceProgress::Restarted => {
+                bar.suspend(|| eprintln!("inputs or settings have changed: the bake starts afresh"));
+            }
+            SequenceProgress::Surveyed(inputs) => bar.set_message(format!("{inputs} inputs read")),
+            SequenceProgress::Resumed(done) => {
+                bar.suspend(|| eprintln!("{done} of {frames} frames are finished already"));
+                bar.set_position(done as u64 * BAR_STEPS);
+                bar.reset_eta();
+            }
+            SequenceProgress::Fitting(frame, fit) => {
+                reach(frame as u64 * BAR_STEPS + (fit.fraction * BAR_STEPS as f32) as u64);
+                bar.set_message(format!("frame {}/{frames}: {} RBFs, {:.1} %", frame + 1, fit.rbfs, 100.0 * fit.error));
+            }
+            SequenceProgress::Finished(_) => {}
         }
-        BakeProgress::Residual => (FIT_SHARE, "residual".into()),
-        BakeProgress::Compressing => (FIT_SHARE, "compressing".into()),
-        BakeProgress::Verifying => (1.0, "verifying".into()),
-    };
-    bar.set_position((position * BAR_STEPS as f32) as u64);
-    bar.set_message(message);
+    }
 }
 
 #[cfg(test)]
@@ -199,6 +303,9 @@ pub(super) mod tests {
             output: output.into(),
             rbfs: Some(3),
             error: None,
+            max_rbfs: None,
+            threshold: 1.2,
+            segment: None,
             grid: None,
             fps: 24.0,
             seed: 1,
@@ -217,9 +324,11 @@ pub(super) mod tests {
         let animation = crate::bundle::read(&bytes).unwrap();
         assert_eq!(animation.frames_per_second, 24.0);
         let report: serde_json::Value = serde_json::from_slice(&std::fs::read(&report).unwrap()).unwrap();
-        assert_eq!(report["fit"]["rbfs"], animation.frames.get(0).unwrap().rbfs.rbfs.len());
-        assert_eq!(report["bytes"]["file"], bytes.len());
-        assert!(report["quantization"]["worst_half_steps"]["error"].as_f64().unwrap() <= 1.0);
+        let frame = &report["frames"][0];
+        assert_eq!(frame["fit"]["rbfs"], animation.frames.get(0).unwrap().rbfs.rbfs.len());
+        assert_eq!(report["summary"]["bytes"], bytes.len());
+        assert!(frame["quantization"]["worst_half_steps"]["error"].as_f64().unwrap() <= 1.0);
+        assert!(!dir.path().join("blob.smoke.parts").exists());
     }
 
     #[test]
@@ -228,7 +337,6 @@ pub(super) mod tests {
         let output = dir.path().join("out.smoke");
         let refusal = |args: &BakeArgs| run(args).unwrap_err().to_string();
         let missing = dir.path().join("none.vdb");
-        assert!(refusal(&args(&[&missing, &missing], &output)).contains("2 frames given"));
         // The output's folder is missing too, and is what the message is about: outputs are checked first.
         assert!(refusal(&args(&[&missing], &dir.path().join("none/out.smoke"))).contains("none/out.smoke"));
         assert!(refusal(&args(&[&missing], &output)).contains("none.vdb"));

@@ -5,11 +5,14 @@
 pub mod bake;
 pub mod compare;
 pub mod exr_io;
+pub mod frames;
 pub mod info;
+pub mod join;
 pub mod output;
 pub mod path;
 pub mod render;
 pub mod scene;
+pub mod simulate;
 pub mod solve;
 pub mod study;
 
@@ -22,9 +25,12 @@ use clap::Parser;
 #[derive(Parser, Debug)]
 #[command(name = "smoke", version, arg_required_else_help = false, after_help = OVERVIEW)]
 enum Cli {
-    /// Bake a density file (OpenVDB or NumPy) into a .smoke bundle
+    /// Bake density files (OpenVDB or NumPy) into a .smoke bundle
     #[command(after_help = bake::EXAMPLES)]
     Bake(bake::BakeArgs),
+    /// Join the bundles of a sequence's segments into one
+    #[command(after_help = join::EXAMPLES)]
+    Join(join::JoinArgs),
     /// Show what a .smoke bundle holds, and check it for damage
     #[command(after_help = info::EXAMPLES)]
     Info(info::InfoArgs),
@@ -33,6 +39,9 @@ enum Cli {
     /// Measure the error of an image against a reference
     #[command(after_help = compare::EXAMPLES)]
     Compare(compare::CompareArgs),
+    /// Simulate a plume of smoke, to have something to bake
+    #[command(after_help = simulate::EXAMPLES)]
+    Simulate(simulate::SimulateArgs),
     /// Run a numerical study behind the method again
     #[command(after_help = study::EXAMPLES)]
     #[command(subcommand)]
@@ -41,7 +50,8 @@ enum Cli {
 
 const OVERVIEW: &str = "\
 From a simulation to a picture with a known error:
-  smoke bake plume_0031.vdb -o plume.smoke --rbfs 600
+  smoke simulate -o frames
+  smoke bake frames/plume_0050.npy -o plume.smoke --rbfs 600
   smoke info plume.smoke
   smoke render plume.smoke -o plume.exr --scene scene.json
   smoke compare plume.exr full_a.exr full_b.exr --alpha alpha.exr
@@ -68,9 +78,11 @@ fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     };
     let result = match cli {
         Cli::Bake(args) => bake::run(&args),
+        Cli::Join(args) => join::run(&args),
         Cli::Info(args) => info::run(&args),
         Cli::Render(args) => render::run(args),
         Cli::Compare(args) => compare::run(&args),
+        Cli::Simulate(args) => simulate::run(&args),
         Cli::Study(what) => study::run(&what),
     };
     match result {
@@ -142,8 +154,16 @@ mod tests {
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--fps", "nan"], "--fps"),
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--error", "2"], "--error"),
             (&["smoke", "bake", "x.vdb", "-o", "x.smoke", "--error", "0.1", "--rbfs", "9"], "cannot be used with"),
+            (&["smoke", "simulate"], "--output"),
+            (&["smoke", "simulate", "-o", "x", "--size", "48,96"], "--size"),
+            (&["smoke", "simulate", "-o", "x", "--frames", "0"], "--frames"),
+            (&["smoke", "simulate", "-o", "x", "--warmup=-1"], "--warmup"),
+            (&["smoke", "simulate", "-o", "x", "--fps", "0"], "--fps"),
+            (&["smoke", "simulate", "-o", "x", "--obstacle", "cube"], "--obstacle"),
             (&["smoke", "study", "cube"], "cube"),
             (&["smoke", "study", "sphere", "--paths", "0"], "--paths"),
+            (&["smoke", "study", "flicker", "a.smoke"], "--density"),
+            (&["smoke", "study", "flicker", "a.smoke", "--density", "a.vdb"], "2 values required"),
         ] {
             let line = usage(arguments);
             assert!(line.contains(expected) && !line.contains('\n'), "{line}");

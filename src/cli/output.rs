@@ -37,15 +37,31 @@ impl OutputFile {
         Ok(output)
     }
 
+    /// Where the file goes: its full path, links followed.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Writes the file: to a temporary file beside it first, which then takes its place.
     pub fn write(&self, bytes: &[u8]) -> anyhow::Result<()> {
+        let describe = || format!("cannot write {}", self.path.display());
+        self.write_with(|file| file.write_all(bytes).with_context(describe))
+    }
+
+    /// The same for a file that `write` writes piece by piece.
+    pub fn write_with<T>(&self, write: impl FnOnce(&mut File) -> anyhow::Result<T>) -> anyhow::Result<T> {
+        let describe = || format!("cannot write {}", self.path.display());
         let temporary = self.temporary();
-        let result = write_synced(&temporary, bytes).and_then(|()| fs::rename(&temporary, &self.path));
+        let result = File::create(&temporary).with_context(describe).and_then(|mut file| {
+            let written = write(&mut file)?;
+            file.sync_all().and_then(|()| fs::rename(&temporary, &self.path)).with_context(describe)?;
+            Ok(written)
+        });
         if result.is_err() {
             // Best effort: the error that matters is the first one.
             let _ = fs::remove_file(&temporary);
         }
-        result.with_context(|| format!("cannot write {}", self.path.display()))
+        result
     }
 
     fn temporary(&self) -> PathBuf {
@@ -66,12 +82,6 @@ fn resolve(path: &Path) -> io::Result<PathBuf> {
         };
         Ok(folder.canonicalize()?.join(path.file_name().unwrap_or_default()))
     })
-}
-
-fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = File::create(path)?;
-    file.write_all(bytes)?;
-    file.sync_all()
 }
 
 /// Prints to standard output; a reader that has gone away (`smoke info … | head`) is no error.

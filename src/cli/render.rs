@@ -100,7 +100,7 @@ pub(super) enum Scattering {
     Multiple,
 }
 
-fn parse_size(text: &str) -> Result<[u32; 2], String> {
+pub(super) fn parse_size(text: &str) -> Result<[u32; 2], String> {
     let sides = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
     match sides {
         Some([width, height]) if (1..=8192).contains(&width) && (1..=8192).contains(&height) => Ok([width, height]),
@@ -388,7 +388,32 @@ fn spawn_scene(
     let (center, side) = scene.placement.center_and_side(animation.shape, animation.placement);
     let transform = Transform::from_translation(center.as_vec3()).with_scale(Vec3::splat(side as f32));
     let world = headless.app.world_mut();
-    let (environment, unit) = match &scene.environment {
+    let (environment, unit) = environment(world, scene)?;
+    let animation = world.resource_mut::<Assets<SmokeAnimation>>().add(animation);
+    let events = match args.scattering {
+        Scattering::Auto => ScatteringEvents::Auto,
+        Scattering::Single => ScatteringEvents::Single,
+        Scattering::Multiple => ScatteringEvents::Multiple,
+    };
+    let volume = world.spawn((
+        SmokeVolume::new(animation),
+        SmokeScattering { events, solver: args.solve.solver().into(), ..default() },
+        medium(scene),
+        environment,
+        transform,
+    ));
+    let volume = volume.id();
+    for light in &scene.lights {
+        spawn_light(world, light, unit);
+    }
+
+    spawn_camera(headless, scene);
+    Ok((volume, unit))
+}
+
+/// The scene's light from all around, and the radiance that 1 in the picture stands for.
+pub(super) fn environment(world: &mut World, scene: &Scene) -> anyhow::Result<(SmokeEnvironment, f32)> {
+    Ok(match &scene.environment {
         Environment::Equirect(path) => {
             let image = world.resource_mut::<Assets<Image>>().add(equirect_texture(path)?);
             (SmokeEnvironment::equirect(image, 1.0), 1.0)
@@ -398,30 +423,21 @@ fn spawn_scene(
             let unit = magnitude(&coefficients);
             (SmokeEnvironment::Coefficients { coefficients, intensity: 1.0 / unit }, unit)
         }
-    };
-    let animation = world.resource_mut::<Assets<SmokeAnimation>>().add(animation);
-    let albedo = scene.albedo.as_vec3();
-    let events = match args.scattering {
-        Scattering::Auto => ScatteringEvents::Auto,
-        Scattering::Single => ScatteringEvents::Single,
-        Scattering::Multiple => ScatteringEvents::Multiple,
-    };
-    let volume = world.spawn((
-        SmokeVolume::new(animation),
-        SmokeScattering { events, solver: args.solve.solver().into(), ..default() },
-        SmokeMedium {
-            sigma_t: scene.sigma_t as f32,
-            albedo: LinearRgba::rgb(albedo.x, albedo.y, albedo.z),
-            g: scene.g as f32,
-        },
-        environment,
-        transform,
-    ));
-    let volume = volume.id();
-    for light in &scene.lights {
-        spawn_light(world, light, unit);
-    }
+    })
+}
 
+/// What the scene's smoke does to light.
+pub(super) fn medium(scene: &Scene) -> SmokeMedium {
+    let albedo = scene.albedo.as_vec3();
+    SmokeMedium {
+        sigma_t: scene.sigma_t as f32,
+        albedo: LinearRgba::rgb(albedo.x, albedo.y, albedo.z),
+        g: scene.g as f32,
+    }
+}
+
+/// Spawns the scene's camera, which shows radiance as it is.
+pub(super) fn spawn_camera(headless: &mut Headless, scene: &Scene) {
     let camera = &scene.camera;
     let projection = PerspectiveProjection { fov: camera.fov_y_deg.to_radians() as f32, near: 1e-3, ..default() };
     let shows = headless.radiance_camera();
@@ -430,7 +446,6 @@ fn spawn_scene(
         Projection::Perspective(projection),
         Transform::from_translation(camera.eye.as_vec3()).looking_at(camera.target.as_vec3(), Vec3::Y),
     ));
-    Ok((volume, unit))
 }
 
 /// Turns the environment of a volume about the vertical.

@@ -2,7 +2,7 @@
 //!
 //! A [`DensityGrid`] is a box of cells with a density at every cell centre, placed in the world. `read` (feature
 //! `bake`) makes one from an OpenVDB file (`.vdb`: what Houdini, Blender, EmberGen and most others export) or from a
-//! NumPy array (`.npy`).
+//! NumPy array (`.npy`); `write_npy` makes such an array.
 
 #[cfg(feature = "bake")]
 mod error;
@@ -18,7 +18,7 @@ mod vdb;
 pub use error::DensityError;
 pub use grid::{COARSE_CELLS, DensityGrid, GridShape, Placement, SourceInfo};
 #[cfg(feature = "bake")]
-pub use npy::read_npy;
+pub use npy::{read_npy, write_npy};
 #[cfg(feature = "bake")]
 pub use read::read;
 #[cfg(feature = "bake")]

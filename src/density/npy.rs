@@ -60,6 +60,26 @@ pub fn read_npy(bytes: &[u8]) -> Result<DensityGrid, DensityError> {
     })
 }
 
+/// The densities of a grid as a `.npy` file (format version 1, 32-bit floats, Fortran order), which [`read_npy`] reads back
+/// as they are. The format keeps no placement.
+pub fn write_npy(grid: &DensityGrid) -> Vec<u8> {
+    /// What the values begin at a multiple of.
+    const ALIGNMENT: usize = 64;
+    let [x, y, z] = grid.shape.dims.to_array();
+    let text = format!("{{'descr': '<f4', 'fortran_order': True, 'shape': ({x}, {y}, {z}), }}");
+    // Before the text: the magic bytes, two of version, two of length. After it: spaces and a line end.
+    let start = MAGIC.len() + 4;
+    let length = (start + text.len() + 1).next_multiple_of(ALIGNMENT) - start;
+    let mut bytes = Vec::with_capacity(start + length + 4 * grid.values.len());
+    bytes.extend_from_slice(MAGIC);
+    bytes.extend_from_slice(&[1, 0]);
+    // Three sides of at most ten digits leave the length far below 2¹⁶.
+    bytes.extend_from_slice(&(length as u16).to_le_bytes());
+    bytes.extend_from_slice(format!("{text:width$}\n", width = length - 1).as_bytes());
+    bytes.extend(grid.values.iter().flat_map(|value| value.to_le_bytes()));
+    bytes
+}
+
 /// How the array is stored.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Header {

@@ -4,16 +4,18 @@
 //! most obvious way, and is itself tested against closed forms. Everything is in bundle space, in bundle axes; `sigma`
 //! is extinction per bundle unit, σ_t times the world length of the box's longest side.
 //!
-//! Beside the passes: [`single`], single scattering without any of the method's approximations, [`path`], a path tracer
-//! for any number of scattering events and any light, [`paper`], the method of Zhou et al. 2008 as printed, [`diffusion`],
-//! its diffusion equation put right and solved on a grid, [`sphere`], which tells the two apart, and [`compare`], the error
-//! of an image.
+//! Beside the passes: [`single`], single scattering without any of the method's approximations, [`voxel_single`], the same
+//! fast enough for every frame of an animation, [`path`], a path tracer for any number of scattering events and any
+//! light, [`paper`], the method of Zhou et al. 2008 as printed, [`diffusion`], its diffusion equation put right and solved
+//! on a grid, [`sphere`], which tells the two apart, [`compare`], the error of an image, and [`flicker`], that of an
+//! animation over time.
 
 pub mod coarse;
 pub mod compare;
 pub mod density;
 pub mod diffusion;
 pub mod environment;
+pub mod flicker;
 pub mod incident_light;
 pub mod lamp;
 pub mod outgoing;
@@ -25,6 +27,7 @@ pub mod taylor;
 pub mod transport;
 pub mod view;
 pub mod volume;
+pub mod voxel_single;
 
 use glam::{DVec3, IVec3, UVec3, Vec3};
 

@@ -1,5 +1,6 @@
 //! `smoke study`: the numerical studies behind the method, run again.
 
+mod flicker;
 mod sphere;
 mod stability;
 
@@ -8,7 +9,8 @@ use clap::Subcommand;
 pub(super) const EXAMPLES: &str = "\
   smoke study sphere
   smoke study sphere --paths 10000000 --json
-  smoke study stability > docs/stability.md";
+  smoke study stability > docs/stability.md
+  smoke study flicker plume.smoke --density plume_*.vdb";
 
 /// What to study.
 #[derive(Subcommand, Debug)]
@@ -20,6 +22,10 @@ pub enum Study {
     /// Smoke where methods fail: very thin and thick, dark and white, forward and backward, tiny and huge, empty, one
     /// voxel, sharp and sudden light. Prints the table of docs/stability.md
     Stability(stability::StabilityArgs),
+    /// How much baked animations flicker when the plug-in draws them: change of the picture's error from frame to frame,
+    /// over the change of the true picture, in single scattering. The truth is computed from the densities they were baked
+    /// from, without noise
+    Flicker(flicker::FlickerArgs),
 }
 
 /// Runs `smoke study`.
@@ -27,5 +33,6 @@ pub fn run(study: &Study) -> anyhow::Result<()> {
     match study {
         Study::Sphere(args) => sphere::run(args),
         Study::Stability(args) => stability::run(args),
+        Study::Flicker(args) => flicker::run(args),
     }
 }

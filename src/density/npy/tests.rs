@@ -84,6 +84,21 @@ fn every_truncation_is_an_error() {
     }
 }
 
+#[test]
+fn written_arrays_read_back() {
+    for dims in [[1, 1, 1], [3, 5, 2], [1000, 1, 1]] {
+        let count = dims.iter().product::<u64>() as usize;
+        let (shape, mut values) = allocate(dims, 0.0, MAX_CELLS).unwrap();
+        (0..count).for_each(|i| values[i] = i as f32 / 7.0);
+        let placement = Placement { center: DVec3::ZERO, voxel_size: 1.0 / f64::from(shape.longest()) };
+        let source = SourceInfo { active_voxels: count as u64, ..Default::default() };
+        let grid = DensityGrid { shape, values, placement, source };
+        let bytes = write_npy(&grid);
+        assert_eq!((bytes.len() - 4 * count) % 64, 0, "values are aligned");
+        assert_eq!(read_npy(&bytes).unwrap(), grid);
+    }
+}
+
 proptest! {
     #[test]
     fn no_header_panics(header in "[ -~]{0,60}('descr'|'shape'|'fortran_order')? ?: ?[ -~]{0,30}", data in any::<[u8; 8]>()) {

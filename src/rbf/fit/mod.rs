@@ -14,6 +14,7 @@
 //! A fit depends on its input and seed alone: not on the number of threads, nor on how fast they are.
 
 mod field;
+mod follow;
 mod minimize;
 mod objective;
 mod place;
@@ -23,6 +24,7 @@ mod tests;
 
 use crate::density::GridShape;
 use crate::rbf::{Rbf, RbfModel};
+pub use follow::{FollowSettings, Followed, NumberedRbfs, follow};
 use search::Search;
 
 /// Smallest and largest radius of a fitted Gaussian, in bundle units.
@@ -58,7 +60,8 @@ impl Default for FitSettings {
     }
 }
 
-/// The parts of a fit, in the order in which they run. Under [`FitTarget::Error`] they may repeat.
+/// The parts of a fit: [`fit`] grows, teleports and polishes, again and again under [`FitTarget::Error`]; [`follow`]
+/// follows, grows and polishes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum FitStage {
     /// Gaussians are added in batches.
@@ -67,6 +70,8 @@ pub enum FitStage {
     Teleport,
     /// The last run on the full grid.
     Polish,
+    /// Taking the Gaussians of the frame before to the next one: what [`follow`] begins with.
+    Follow,
 }
 
 /// How far a fit has come.

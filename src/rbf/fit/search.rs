@@ -15,7 +15,7 @@ use crate::rbf::{Rbf, RbfModel};
 
 /// Cells along the longest side of the copies on which Gaussians are placed, and on which they are teleported.
 const COARSE: u32 = 64;
-const MIDDLE: u32 = 128;
+pub(super) const MIDDLE: u32 = 128;
 
 /// A batch grows the model by this factor; at most this many batches, should they find little.
 const GROWTH: f64 = 1.4;
@@ -36,18 +36,18 @@ const TOLERANCE: f64 = 2e-5;
 
 /// A fit under way. Densities and weights are in units of the frame's largest density.
 pub(super) struct Search<'a> {
-    shape: GridShape,
+    pub shape: GridShape,
     values: &'a [f32],
-    max: f32,
-    bounds: Bounds,
+    pub max: f32,
+    pub bounds: Bounds,
     /// The copy on which Gaussians are placed.
     coarse: Field,
-    rbfs: Vec<Rbf>,
+    pub rbfs: Vec<Rbf>,
     random: SplitMix64,
-    report: FitReport,
+    pub report: FitReport,
     progress: &'a dyn Fn(FitProgress),
     /// Share of the work that is done, and that the current stage will have done by its end.
-    done: f32,
+    pub done: f32,
     until: f32,
 }
 
@@ -199,23 +199,25 @@ impl<'a> Search<'a> {
         self.report.teleports += count as u32;
     }
 
-    fn remove_least_significant(&mut self, count: usize) {
+    /// Takes `count` Gaussians away and returns which are left, by their indices before.
+    pub fn remove_least_significant(&mut self, count: usize) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.rbfs.len()).collect();
         order.sort_by(|&a, &b| significance(&self.rbfs[b]).total_cmp(&significance(&self.rbfs[a])));
         order.truncate(self.rbfs.len().saturating_sub(count));
         order.sort_unstable();
-        self.rbfs = order.into_iter().map(|index| self.rbfs[index]).collect();
+        self.rbfs = order.iter().map(|&index| self.rbfs[index]).collect();
+        order
     }
 
     /// The Gaussians that help most beside those there are, as the coarse copy shows it.
-    fn propose(&self, count: usize) -> Vec<Rbf> {
+    pub fn propose(&self, count: usize) -> Vec<Rbf> {
         let mut objective = Objective::new(&self.coarse);
         objective.evaluate(&self.rbfs);
         propose(&self.coarse, &objective.residual, &self.bounds, count)
     }
 
     /// Runs the minimiser and returns the sum of squared errors in units of the field's energy.
-    fn minimize(&mut self, objective: &mut Objective, iterations: u32, stage: FitStage) -> f64 {
+    pub fn minimize(&mut self, objective: &mut Objective, iterations: u32, stage: FitStage) -> f64 {
         let (energy, hidden) = (objective.field.energy, objective.field.hidden);
         let (fraction, rbfs) = (self.done, self.rbfs.len());
         let progress = self.progress;
@@ -228,12 +230,12 @@ impl<'a> Search<'a> {
         outcome.cost / energy
     }
 
-    fn field(&self, factor: u32) -> Field {
+    pub fn field(&self, factor: u32) -> Field {
         Field::new(self.shape, self.values, 1.0 / self.max, factor)
     }
 
     /// The model in units of density.
-    fn model(&self) -> RbfModel {
+    pub fn model(&self) -> RbfModel {
         RbfModel { rbfs: self.rbfs.iter().map(|rbf| Rbf { weight: rbf.weight * self.max, ..*rbf }).collect() }
     }
 
@@ -245,7 +247,7 @@ impl<'a> Search<'a> {
         (self.progress)(FitProgress { stage, fraction: self.done, rbfs: self.rbfs.len(), error });
     }
 
-    fn add_seconds(&mut self, stage: FitStage, started: Instant) {
+    pub fn add_seconds(&mut self, stage: FitStage, started: Instant) {
         let seconds = started.elapsed().as_secs_f64();
         match self.report.seconds.iter_mut().find(|entry| entry.0 == stage) {
             Some(entry) => entry.1 += seconds,
@@ -331,6 +333,6 @@ fn slope(fewer: usize, larger: f32, more: usize, smaller: f32) -> f64 {
 }
 
 /// The number of Gaussians that should have the error `target`, where `count` have `error`.
-fn count_for(target: f32, count: usize, error: f32, power: f64) -> usize {
+pub(super) fn count_for(target: f32, count: usize, error: f32, power: f64) -> usize {
     (count as f64 * f64::from(error / target).powf(1.0 / power)).ceil() as usize
 }

@@ -168,6 +168,75 @@ fn a_target_out_of_reach_gives_the_best() {
     assert!(best.report.error < 0.9, "{}", best.report.error);
 }
 
+/// Blobs in a row, moved by `shift`.
+fn row(shape: GridShape, count: usize, shift: f32) -> Vec<f32> {
+    let rbf = |i: usize| Rbf {
+        center: [0.14 * i as f32 - 0.35 + shift, 0.1 * (i % 2) as f32, 0.5 * shift],
+        radius: 0.05 + 0.005 * i as f32,
+        weight: 1.0 + 0.1 * i as f32,
+    };
+    RbfModel { rbfs: (0..count).map(rbf).collect() }.rasterize(shape)
+}
+
+fn followed(shape: GridShape, values: &[f32], previous: &NumberedRbfs, limit: f32, max_rbfs: usize) -> Followed {
+    follow(shape, values, previous, &FollowSettings { limit, max_rbfs, trim: false }, &quiet).unwrap()
+}
+
+#[test]
+fn gaussians_follow_the_smoke() {
+    let shape = shape(56, 32, 24);
+    let start = fit(shape, &row(shape, 6, 0.0), &settings(FitTarget::Count(20)), &quiet).unwrap();
+    let start = NumberedRbfs::new(start.model, 7);
+    let next = row(shape, 6, 0.03);
+    let stayed = relative_error(shape, &next, &start.model);
+    let after = followed(shape, &next, &start, 1.0, 40);
+    assert!(after.report.error < 0.3 * stayed, "{} of {stayed}", after.report.error);
+    assert_eq!(after.inserted, 0, "the limit is reached without");
+    assert!((1..=4).contains(&after.deleted), "{}", after.deleted);
+    assert_eq!(after.rbfs.next_id, start.next_id);
+    // Whoever is still there has its place, unless the list has become too short for it.
+    let places = after.rbfs.ids.iter().zip(&start.ids).filter(|(a, b)| a == b).count();
+    assert!(places >= after.rbfs.ids.len() - after.deleted);
+    assert!(after.rbfs.ids.iter().all(|id| start.ids.contains(id)));
+}
+
+#[test]
+fn new_smoke_gets_new_gaussians_and_old_smoke_loses_them() {
+    let shape = shape(56, 32, 24);
+    let (few, many) = (row(shape, 2, 0.0), row(shape, 6, 0.0));
+    let start = fit(shape, &few, &settings(FitTarget::Count(6)), &quiet).unwrap();
+    let start = NumberedRbfs::new(start.model, 0);
+    let grown = followed(shape, &many, &start, 0.1, 60);
+    assert!(grown.report.reached && grown.inserted >= 4, "{} {}", grown.report.error, grown.inserted);
+    assert_eq!(grown.rbfs.ids.len(), start.ids.len() - grown.deleted + grown.inserted);
+    assert_eq!(grown.rbfs.next_id, start.next_id + grown.inserted as u32);
+    let mut ids = grown.rbfs.ids.clone();
+    ids.sort_unstable();
+    ids.dedup();
+    assert_eq!(ids.len(), grown.rbfs.ids.len());
+
+    let faded = followed(shape, &few, &grown.rbfs, 0.1, 60);
+    assert!(faded.report.reached && faded.deleted > grown.inserted / 2, "{} of {}", faded.deleted, grown.inserted);
+    let most = followed(shape, &many, &start, 1e-4, 9);
+    assert!(!most.report.reached && most.rbfs.ids.len() == 9);
+    let none = followed(shape, &vec![0.0; shape.len()], &start, 0.1, 9);
+    assert!(none.rbfs.ids.is_empty() && none.deleted == start.ids.len() && none.rbfs.next_id == start.next_id);
+}
+
+#[test]
+fn following_is_the_same_on_any_number_of_threads() {
+    let shape = shape(40, 56, 36);
+    let start = NumberedRbfs::new(blobs(shape, 40, 3), 0);
+    let values = smoke(shape, 13);
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| followed(shape, &values, &start, 0.3, 60)).rbfs
+    };
+    let one = on(1);
+    assert_eq!(one, on(2));
+    assert_eq!(one, on(3));
+}
+
 #[test]
 fn grids_of_few_cells() {
     for (x, y, z) in [(1, 1, 1), (2, 1, 1), (1, 7, 1), (16, 16, 1), (1, 200, 2), (3, 3, 3)] {
