@@ -56,11 +56,9 @@ impl RbfBins {
                 met.len()
             })
             .collect();
-        // Those that stay and do not meet the bin: no entry twice.
-        let staying: Vec<u32> = (0..).zip(stays).filter(|(_, stays)| **stays).map(|(index, _)| index).collect();
-        let mut candidates = Candidates::new(rbfs, &staying, shape, bins);
+        let mut candidates = Nearest::new(rbfs, stays, shape, bins);
         let uncovered: Vec<(usize, Vec<u32>)> =
-            (0..bins.len()).filter(|&bin| !is_covered[bin]).map(|bin| (bin, candidates.nearest(bin))).collect();
+            (0..bins.len()).filter(|&bin| !is_covered[bin]).map(|bin| (bin, candidates.to(bin))).collect();
         for (bin, list) in &uncovered {
             counts[*bin] += list.len() as u32;
         }
@@ -158,25 +156,38 @@ fn reach(rbf: &Rbf, shape: GridShape, dims: UVec3) -> (UVec3, UVec3) {
 }
 
 /// Side in bins of the blocks whose bins look for their nearest Gaussians among the same few.
-const BLOCK: u32 = 4;
+const BLOCK: u32 = 2;
 
 /// Finds the nearest Gaussians of bins that no support meets: few of them can be, for all bins of a block.
-struct Candidates<'a> {
-    rbfs: &'a [Rbf],
-    among: &'a [u32],
+struct Nearest {
+    all: Vec<Candidate>,
     shape: GridShape,
     bins: GridShape,
-    blocks: HashMap<UVec3, Vec<u32>>,
+    blocks: HashMap<UVec3, Vec<Candidate>>,
 }
 
-impl<'a> Candidates<'a> {
-    fn new(rbfs: &'a [Rbf], among: &'a [u32], shape: GridShape, bins: GridShape) -> Self {
-        Self { rbfs, among, shape, bins, blocks: HashMap::default() }
+#[derive(Clone, Copy)]
+struct Candidate {
+    index: u32,
+    center: Vec3,
+    /// One over the radius.
+    scale: f32,
+}
+
+impl Nearest {
+    /// Among those that stay.
+    fn new(rbfs: &[Rbf], stays: &[bool], shape: GridShape, bins: GridShape) -> Self {
+        let all = (0..).zip(rbfs).zip(stays).filter(|(_, stays)| **stays).map(|((index, rbf), _)| Candidate {
+            index,
+            center: rbf.center.into(),
+            scale: 1.0 / rbf.radius,
+        });
+        Self { all: all.collect(), shape, bins, blocks: HashMap::default() }
     }
 
     /// The [`NEAREST`] Gaussians to a bin's centre by distance over radius, ties by index; ascending.
-    fn nearest(&mut self, bin: usize) -> Vec<u32> {
-        let (rbfs, among, shape, bins) = (self.rbfs, self.among, self.shape, self.bins);
+    fn to(&mut self, bin: usize) -> Vec<u32> {
+        let (shape, bins) = (self.shape, self.bins);
         let center = |bin: UVec3| {
             let (low, high) = grown_box(bin, shape);
             0.5 * (low + high)
@@ -185,42 +196,46 @@ impl<'a> Candidates<'a> {
         let block = bin / BLOCK;
         let candidates = self.blocks.entry(block).or_insert_with(|| {
             let (first, last) = (center(block * BLOCK), center((block * BLOCK + BLOCK - 1).min(bins.dims - 1)));
-            of_block(rbfs, among, 0.5 * (first + last), 0.5 * first.distance(last))
+            of_block(&self.all, 0.5 * (first + last), 0.5 * first.distance(last))
         });
-        nearest(rbfs, candidates, center(bin))
+        nearest(candidates, center(bin))
     }
 }
 
 /// Those that may be among the [`NEAREST`] of some point within `reach` of `center`; ascending.
-fn of_block(rbfs: &[Rbf], among: &[u32], center: Vec3, reach: f32) -> Vec<u32> {
-    let ranges: Vec<(f32, f32)> = among
-        .iter()
-        .map(|&index| {
-            let rbf = &rbfs[index as usize];
-            let distance = center.distance(Vec3::from(rbf.center));
-            ((distance - reach) / rbf.radius, (distance + reach) / rbf.radius)
-        })
-        .collect();
-    let mut farthest: Vec<f32> = ranges.iter().map(|range| range.1).collect();
-    let rank = NEAREST.min(farthest.len());
-    // So many are at most this far from any of the points; a little more, for rounding.
-    let enough = match rank.checked_sub(1) {
-        Some(last) => *farthest.select_nth_unstable_by(last, f32::total_cmp).1 * 1.0001 + 1e-4,
-        None => return Vec::new(),
-    };
-    among.iter().zip(ranges).filter(|(_, range)| range.0 <= enough).map(|(index, _)| *index).collect()
+fn of_block(all: &[Candidate], center: Vec3, reach: f32) -> Vec<Candidate> {
+    let distances: Vec<f32> = all.iter().map(|candidate| center.distance(candidate.center)).collect();
+    // So many are at most this far from any of the points.
+    let mut farthest = [f32::INFINITY; NEAREST];
+    for (candidate, distance) in all.iter().zip(&distances) {
+        let mut far = (distance + reach) * candidate.scale;
+        if far < farthest[NEAREST - 1] {
+            for kept in &mut farthest {
+                if far < *kept {
+                    std::mem::swap(&mut far, kept);
+                }
+            }
+        }
+    }
+    // A little more, for rounding.
+    let enough = farthest[NEAREST - 1] * 1.0001 + 1e-4;
+    let near = |(candidate, distance): &(&Candidate, &f32)| (**distance - reach) * candidate.scale <= enough;
+    all.iter().zip(&distances).filter(near).map(|(candidate, _)| *candidate).collect()
 }
 
 /// The [`NEAREST`] of some Gaussians to `point` by distance over radius, ties by index; ascending.
-fn nearest(rbfs: &[Rbf], among: &[u32], point: Vec3) -> Vec<u32> {
+fn nearest(among: &[Candidate], point: Vec3) -> Vec<u32> {
     let mut best: Vec<(f32, u32)> = Vec::with_capacity(NEAREST + 1);
-    for &index in among {
-        let rbf = &rbfs[index as usize];
-        let distance = point.distance(Vec3::from(rbf.center)) / rbf.radius;
-        let rank = best.partition_point(|&(other, _)| other <= distance);
-        if rank < NEAREST {
-            best.insert(rank, (distance, index));
+    let mut farthest = f32::INFINITY;
+    for candidate in among {
+        let square = point.distance_squared(candidate.center) * (candidate.scale * candidate.scale);
+        if square < farthest {
+            let rank = best.partition_point(|&(other, _)| other <= square);
+            best.insert(rank, (square, candidate.index));
             best.truncate(NEAREST);
+            if best.len() == NEAREST {
+                farthest = best[NEAREST - 1].0;
+            }
         }
     }
     let mut list: Vec<u32> = best.into_iter().map(|(_, index)| index).collect();

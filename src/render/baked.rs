@@ -83,24 +83,27 @@ fn typical_depth(rbfs: &[Rbf]) -> f32 {
     sum / rbfs.iter().map(mass).sum::<f32>().max(f32::MIN_POSITIVE)
 }
 
-/// Columns along the axes from the centres of RBFs, spread over the list.
+/// Columns both ways along the axes from the centres of RBFs, spread over the list.
 fn sample_columns(rbfs: &[Rbf]) -> Vec<f32> {
     const CENTERS: usize = 24;
-    let from = rbfs.iter().step_by(rbfs.len().div_ceil(CENTERS).max(1));
     let center = |rbf: &Rbf| Vec3::from(rbf.center).as_dvec3();
-    from.flat_map(|from| DVec3::AXES.into_iter().flat_map(|axis| [axis, -axis]).map(move |dir| (center(from), dir)))
-        .map(|(from, dir)| {
-            let columns = rbfs.iter().map(|rbf| {
-                let (center, radius) = (center(rbf), f64::from(rbf.radius));
-                // Most RBFs are beside the ray or behind it.
-                let (offset, reach) = (center - from, f64::from(SUPPORT) * radius);
-                let along = offset.dot(dir);
-                if along < -reach || offset.length_squared() - along * along > reach * reach {
-                    return 0.0;
+    let columns = |from: &Rbf| {
+        let from = center(from);
+        let mut sums = [0.0; 6];
+        for rbf in rbfs {
+            let (center, reach) = (center(rbf), f64::from(SUPPORT * rbf.radius));
+            let offset = center - from;
+            let squares = offset * offset;
+            for (axis, dir) in DVec3::AXES.into_iter().enumerate() {
+                // Most RBFs are beside the ray.
+                if squares.element_sum() - squares[axis] < reach * reach {
+                    let column = |dir| gaussian_column(from, dir, center, rbf.radius.into(), rbf.weight.into());
+                    sums[2 * axis] += column(dir);
+                    sums[2 * axis + 1] += column(-dir);
                 }
-                gaussian_column(from, dir, center, radius, rbf.weight.into())
-            });
-            columns.sum::<f64>() as f32
-        })
-        .collect()
+            }
+        }
+        sums.map(|sum| sum as f32)
+    };
+    rbfs.iter().step_by(rbfs.len().div_ceil(CENTERS).max(1)).flat_map(columns).collect()
 }

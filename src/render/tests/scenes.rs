@@ -11,7 +11,7 @@ use crate::lighting::SmokeEnvironment;
 use crate::paper::SmokePaper;
 use crate::playback::SmokeMoment;
 use crate::render::prepare::SmokeCache;
-use crate::render::{SmokeMemory, SmokeRenderStats};
+use crate::render::{SmokeMemory, SmokeRenderStats, SolverReport};
 use crate::scattering::{ScatteringEvents, ScatteringSolver, SmokeScattering};
 use crate::volume::SmokeVolume;
 
@@ -115,17 +115,18 @@ impl Scene {
         self.dispatches("density") - before
     }
 
-    fn sweeps(&self) -> u32 {
-        self.headless.solver_reports().iter().map(|report| report.sweeps).sum()
+    /// What the only volume's solver did.
+    fn report(&self) -> SolverReport {
+        self.headless.solver_reports()[0]
     }
 }
 
 /// The same seen for the first time.
-fn cold(moment: &Moment, look: Look) -> (Vec<[f32; 4]>, u32) {
+fn cold(moment: &Moment, look: Look) -> (Vec<[f32; 4]>, SolverReport) {
     let mut scene = Scene::new(1, look);
     // Drawn once only: a second time changes nothing.
     let picture = scene.draw(&[moment]);
-    (picture, scene.sweeps())
+    (picture, scene.report())
 }
 
 fn between(from: &Arc<SmokeFrame>, to: &Arc<SmokeFrame>, blend: f32) -> Moment {
@@ -212,28 +213,32 @@ fn solvers_go_on_from_moment_to_moment() {
     let [a, b] = neighbours();
     // Thick enough for some work.
     let thick = Look { sigma_t: 40.0, tolerance: 1e-3, ..TRANSPORT };
-    for look in
-        [thick, Look { g: 0.5, ..thick }, Look { solver: ScatteringSolver::Diffusion, tolerance: 0.005, ..TRANSPORT }]
+    for look in [Look { g: 0.5, ..thick }, Look { solver: ScatteringSolver::Diffusion, tolerance: 0.005, ..TRANSPORT }]
     {
         let mut scene = Scene::new(1, look);
         // Diffusion takes more than one solve from black.
         for blend in [0.02, 0.04, 0.06, 0.08, 0.1] {
             scene.draw(&[&between(&a, &b, blend)]);
         }
-        let (mut warm_sweeps, mut cold_sweeps) = (0, 0);
-        for blend in [0.12, 0.14, 0.16] {
+        let (mut went_on, mut from_black) = ((0, 0.0), (0, 0.0));
+        for blend in [0.12, 0.16] {
             let moment = between(&a, &b, blend);
             let warm = scene.draw(&[&moment]);
-            let (fresh, sweeps) = cold(&moment, look);
-            warm_sweeps += scene.sweeps();
-            cold_sweeps += sweeps;
+            let (fresh, report) = cold(&moment, look);
+            for (sum, report) in [(&mut went_on, scene.report()), (&mut from_black, report)] {
+                *sum = (sum.0 + report.sweeps, sum.1 + report.error);
+            }
             let off = difference(&fresh, &warm);
             println!("{:?}, g {}: at {blend} {off:.1e} off", look.solver, look.g);
             // Either is off by the tolerance, of the light that it solves for.
             assert!(off < 2.0 * f64::from(look.tolerance), "{off}");
         }
-        println!("{:?}, g {}: {warm_sweeps} sweeps, {cold_sweeps} from black", look.solver, look.g);
-        assert!(warm_sweeps < cold_sweeps, "{:?}: {warm_sweeps} {cold_sweeps}", look.solver);
+        println!("{:?}, g {}: sweeps and errors {went_on:?}, {from_black:?} from black", look.solver, look.g);
+        match look.solver {
+            ScatteringSolver::Transport => assert!(2 * went_on.0 < from_black.0),
+            // It ends after so many steps, done or not.
+            ScatteringSolver::Diffusion => assert!(2.0 * went_on.1 < from_black.1),
+        }
     }
 }
 
@@ -268,18 +273,23 @@ fn buffers_grow_with_the_number_of_rbfs() {
 #[test]
 fn nothing_jumps_where_rbfs_come_and_go() {
     let [a, b] = neighbours();
-    for look in [
-        Look { tolerance: 1e-4, ..TRANSPORT },
-        Look { g: 0.5, tolerance: 1e-4, ..TRANSPORT },
-        Look { solver: ScatteringSolver::Diffusion, tolerance: 1e-4, ..TRANSPORT },
+    // Where no RBF that stays reaches, smoke takes its light from the nearest that do: with one that goes, others are. Such
+    // cells are many in this frame of noise, and diffusion takes them for as good as any.
+    for (look, bound) in [
+        (Look { tolerance: 1e-4, ..TRANSPORT }, 1e-3),
+        (Look { g: 0.5, tolerance: 1e-4, ..TRANSPORT }, 1e-3),
+        (Look { solver: ScatteringSolver::Diffusion, tolerance: 1e-4, ..TRANSPORT }, 2e-3),
     ] {
         let mut scene = Scene::new(1, look);
         for (frame, blend) in [(between(&a, &b, 0.0), 1e-6), (between(&b, &b, 0.0), 1.0 - 1e-6)] {
             // Diffusion takes more than one solve from black.
-            let pairs = [(); 5].map(|()| (scene.draw(&[&frame]), scene.draw(&[&between(&a, &b, blend)])));
-            let off = difference(&pairs[4].0, &pairs[4].1);
+            let solves = if look.solver == ScatteringSolver::Diffusion { 5 } else { 1 };
+            let near = between(&a, &b, blend);
+            let pairs: Vec<_> = (0..solves).map(|_| (scene.draw(&[&frame]), scene.draw(&[&near]))).collect();
+            let (exact, near) = pairs.last().unwrap();
+            let off = difference(exact, near);
             println!("{:?}, g {}: {off:.1e} off at {blend}", look.solver, look.g);
-            assert!(off < 1e-3, "{:?}, g {}: {off:.1e} off at {blend}", look.solver, look.g);
+            assert!(off < bound, "{:?}, g {}: {off:.1e} off at {blend}", look.solver, look.g);
         }
     }
 }
@@ -306,56 +316,5 @@ fn weights_of_next_to_nothing_stay_finite() {
         let mut scene = Scene::new(1, look);
         scene.draw(&[&moment]);
         scene.draw(&[&Moment::frame(Arc::new(fixture()), MAX_DENSITY)]);
-    }
-}
-
-#[test]
-fn timing_steps() {
-    use std::time::Instant;
-    let Ok(path) = std::env::var("TIMING") else { return };
-    let animation = crate::bundle::read(&std::fs::read(path).unwrap()).unwrap();
-    let a = animation.frames.get(0).unwrap().clone();
-    let mut other = SmokeFrame::clone(&a);
-    let mut random = Random(3);
-    for rbf in &mut other.rbfs.rbfs {
-        rbf.center = (Vec3::from(rbf.center) + 0.01 * (random.vector() - 0.5).as_vec3()).to_array();
-    }
-    other.ids[3] = 9999;
-    let b = Arc::new(other);
-    println!("TIMING {} RBFs, {:?}", a.ids.len(), a.residual.shape());
-    for look in [TRANSPORT, Look { g: 0.4, ..TRANSPORT }] {
-        let mut scene = Scene::new(1, look);
-        scene.headless.app.world_mut().resource_mut::<Assets<SmokeAnimation>>().add(animation.clone());
-        let at = |blend: f32| Moment { from: a.clone(), to: b.clone(), blend, max_density: animation.max_density };
-        scene.draw(&[&at(0.0)]);
-        let mut run = |what: &str, moments: Vec<Moment>| {
-            let mut times = vec![];
-            let mut sweeps = vec![];
-            for moment in moments {
-                scene.headless.app.world_mut().resource_mut::<Show>().0 =
-                    [(scene.volumes[0], moment)].into_iter().collect();
-                let start = Instant::now();
-                scene.headless.app.update();
-                scene.headless.wait();
-                times.push(start.elapsed().as_secs_f64() * 1e3);
-                sweeps.push(scene.sweeps());
-            }
-            times.sort_by(f64::total_cmp);
-            println!(
-                "TIMING g {}: {what}: min {:.1} median {:.1} ms, sweeps {sweeps:?}",
-                look.g,
-                times[0],
-                times[times.len() / 2]
-            );
-        };
-        run("static", (0..12).map(|_| at(0.0)).collect());
-        run("stepping", (1..12).map(|i| at(0.05 * i as f32)).collect());
-        let diagnostics = scene.headless.app.world().resource::<bevy::diagnostic::DiagnosticsStore>();
-        for d in diagnostics.iter() {
-            let name = d.path().as_str();
-            if name.contains("smoke") {
-                println!("TIMING   {name}: {:?}", d.average());
-            }
-        }
     }
 }
