@@ -58,6 +58,15 @@ impl Headless {
     ///
     /// [`HeadlessError::NoAdapter`] where there is nothing to draw with.
     pub fn new(size: UVec2, format: TextureFormat) -> Result<Self, HeadlessError> {
+        Self::with_assets(size, format, AssetPlugin::default().file_path)
+    }
+
+    /// The same with assets from another folder than `assets`.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`new`](Self::new).
+    pub fn with_assets(size: UVec2, format: TextureFormat, folder: String) -> Result<Self, HeadlessError> {
         // Bevy panics without an adapter; ask first.
         let backends = wgpu::Backends::PRIMARY;
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
@@ -79,6 +88,7 @@ impl Headless {
                 .disable::<LogPlugin>()
                 .disable::<WinitPlugin>()
                 .disable::<PipelinedRenderingPlugin>()
+                .set(AssetPlugin { file_path: folder, ..default() })
                 .set(WindowPlugin { primary_window: None, exit_condition: ExitCondition::DontExit, ..default() })
                 .set(RenderPlugin {
                     render_creation: WgpuSettings { backends: Some(backends), ..default() }.into(),

@@ -25,6 +25,9 @@
 //! }
 //! ```
 //!
+//! The volume plays its animation in a loop; a [`SmokePlayback`](playback::SmokePlayback) beside it plays it otherwise. Frames
+//! are read from the bundle shortly before they are shown: see [`playback`].
+//!
 //! The method follows Zhou et al. 2008, *Real-Time Smoke Rendering Using Compensated Ray Marching*, and departs from
 //! it where measurement showed something better: light is looked for at probes around every RBF's centre, not at the
 //! centre alone, along fixed directions through a coarse copy of the density; light that scatters more than once is
@@ -78,7 +81,7 @@ pub mod prelude {
     pub use crate::bundle::SmokeAnimation;
     pub use crate::lighting::SmokeEnvironment;
     pub use crate::medium::SmokeMedium;
-    pub use crate::playback::SmokePlayback;
+    pub use crate::playback::{PlaybackMode, SmokeFinished, SmokeLooped, SmokePlayback, SmokeReady};
     pub use crate::scattering::{ScatteringEvents, ScatteringSolver, SmokeScattering};
     pub use crate::volume::SmokeVolume;
 }

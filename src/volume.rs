@@ -7,7 +7,7 @@ use bevy::prelude::*;
 use crate::bundle::SmokeAnimation;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
-use crate::playback::{SmokeMoment, SmokePlayback};
+use crate::playback::{Shown, SmokeMoment, SmokePlayback};
 use crate::scattering::SmokeScattering;
 
 /// A volume of smoke.
@@ -24,6 +24,7 @@ use crate::scattering::SmokeScattering;
 #[require(
     SmokePlayback,
     SmokeMoment,
+    Shown,
     SmokeMedium,
     SmokeEnvironment,
     SmokeScattering,

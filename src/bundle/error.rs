@@ -35,6 +35,9 @@ pub enum BundleError {
         /// What is wrong with its value.
         problem: String,
     },
+    /// An animation to be written is itself read from a file, as it plays.
+    #[error("the animation's frames are in a file, not in memory: read it whole to write it")]
+    NotInMemory,
     /// A frame cannot be read.
     #[error("frame {index}: {error}")]
     Frame {

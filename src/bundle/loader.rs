@@ -1,12 +1,15 @@
 //! Loads `.smoke` files through Bevy's asset server.
 
+use std::sync::Arc;
+
 use bevy::asset::io::Reader;
 use bevy::asset::{AssetLoader, LoadContext};
 use bevy::reflect::TypePath;
 
-use super::{BundleError, SmokeAnimation, read};
+use super::{BundleError, FrameStream, SmokeAnimation, SmokeFrames};
 
-/// Loads a [`SmokeAnimation`] from a `.smoke` file.
+/// Loads a [`SmokeAnimation`] from a `.smoke` file: its header, checked, and the length of the file. Frames are read as
+/// [playback](crate::playback) nears them, and checked then.
 #[derive(Clone, Copy, Debug, Default, TypePath)]
 pub struct SmokeAnimationLoader;
 
@@ -30,11 +33,10 @@ impl AssetLoader for SmokeAnimationLoader {
         &self,
         reader: &mut dyn Reader,
         _settings: &Self::Settings,
-        _load_context: &mut LoadContext<'_>,
+        load_context: &mut LoadContext<'_>,
     ) -> Result<SmokeAnimation, SmokeLoadError> {
-        let mut bytes = Vec::new();
-        reader.read_to_end(&mut bytes).await?;
-        Ok(read(&bytes)?)
+        let stream = Arc::new(FrameStream::open(load_context.path().without_label().into_owned(), reader).await?);
+        Ok(stream.header().animation(SmokeFrames::Stream(stream.clone())))
     }
 
     fn extensions(&self) -> &[&str] {

@@ -2,13 +2,15 @@
 //!
 //! A [`SmokeAnimation`] is a row of frames over one box of cells. A frame's density is `D = D̃ + R`: a few hundred
 //! Gaussians ([`RbfModel`]) and what they leave out, 8 bits a cell in a perfect hash ([`HashedResidual`]).
-//! [`SmokeAnimationLoader`] loads it through the asset server; [`read`] does the same without Bevy, [`BundleHeader`]
-//! gives access to single frames, and `write` (feature `bake`) makes the file. `docs/format.md` describes every byte.
+//! [`SmokeAnimationLoader`] loads it through the asset server, frames as [playback](crate::playback) nears them; [`read`]
+//! reads all of it without Bevy, [`BundleHeader`] gives access to single frames, and `write` (feature `bake`) makes the
+//! file. `docs/format.md` describes every byte.
 
 mod error;
 mod format;
 mod frame;
 mod loader;
+mod stream;
 #[cfg(all(test, feature = "bake"))]
 mod tests;
 #[cfg(feature = "bake")]
@@ -31,6 +33,8 @@ pub use frame::{MAX_RADIUS, MAX_RBFS, MIN_RADIUS};
 #[cfg(feature = "bake")]
 pub use frame::{SectionBytes, section_bytes};
 pub use loader::{SmokeAnimationLoader, SmokeLoadError};
+pub(crate) use stream::FrameReadError;
+pub use stream::FrameStream;
 #[cfg(feature = "bake")]
 pub use write::{BundleWriter, PackedFrame, WriteError, write};
 
@@ -54,6 +58,8 @@ pub struct SmokeAnimation {
 pub enum SmokeFrames {
     /// All of them in memory.
     Memory(Vec<Arc<SmokeFrame>>),
+    /// In a file, from which playback reads those that it nears: what [`SmokeAnimationLoader`] loads.
+    Stream(Arc<FrameStream>),
 }
 
 impl From<Vec<SmokeFrame>> for SmokeFrames {
@@ -68,13 +74,15 @@ impl SmokeFrames {
     pub fn len(&self) -> usize {
         match self {
             Self::Memory(frames) => frames.len(),
+            Self::Stream(stream) => stream.header().frames.len(),
         }
     }
 
-    /// A frame, if it exists and is in memory.
+    /// A frame, if it exists and is in memory: no frame of a stream is.
     pub fn get(&self, index: usize) -> Option<&Arc<SmokeFrame>> {
         match self {
             Self::Memory(frames) => frames.get(index),
+            Self::Stream(_) => None,
         }
     }
 }

@@ -42,8 +42,10 @@ fn animation() -> SmokeAnimation {
 }
 
 fn frames(animation: &mut SmokeAnimation) -> &mut Vec<Arc<SmokeFrame>> {
-    let SmokeFrames::Memory(frames) = &mut animation.frames;
-    frames
+    match &mut animation.frames {
+        SmokeFrames::Memory(frames) => frames,
+        SmokeFrames::Stream(_) => unreachable!("made in memory"),
+    }
 }
 
 fn file() -> Vec<u8> {

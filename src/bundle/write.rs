@@ -11,9 +11,12 @@ use crate::density::GridShape;
 ///
 /// # Errors
 ///
-/// An animation that breaks a limit of the format, so that [`read`](super::read) would refuse it.
+/// An animation whose frames are not in memory, or one that breaks a limit of the format, so that
+/// [`read`](super::read) would refuse it.
 pub fn write(animation: &SmokeAnimation) -> Result<Vec<u8>, BundleError> {
-    let SmokeFrames::Memory(frames) = &animation.frames;
+    let SmokeFrames::Memory(frames) = &animation.frames else {
+        return Err(BundleError::NotInMemory);
+    };
     let header = BundleHeader::without_frames(animation);
     let mut writer = BundleWriter::new(io::Cursor::new(Vec::new()), header, frames.len()).map_err(in_memory)?;
     for (index, smoke) in frames.iter().enumerate() {

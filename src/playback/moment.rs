@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use bevy::platform::collections::HashMap;
+use bevy::platform::collections::{HashMap, HashSet};
 
 use crate::bundle::SmokeFrame;
 use crate::density::GridShape;
@@ -35,6 +35,11 @@ impl Moment {
         self.from.residual.shape()
     }
 
+    /// The density that the renderer's scaled density is 1 at: the largest, or 1 where there is none. Above 0.
+    pub(crate) fn density_scale(&self) -> f32 {
+        if self.max_density > 0.0 { self.max_density } else { 1.0 }
+    }
+
     /// Whether this is the same blend of the same frames in memory.
     pub fn is_same(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.from, &other.from) && Arc::ptr_eq(&self.to, &other.to) && self.blend == other.blend
@@ -62,6 +67,19 @@ impl Moment {
         let only_there = to.filter(|(id, _)| arriving.contains_key(id));
         rbfs.extend(only_there.map(|(_, b)| Rbf { weight: t * b.weight, ..*b }));
         RbfModel { rbfs }
+    }
+
+    /// Whether each of [`rbfs`](Self::rbfs) is in both frames; the others come or go.
+    pub fn stays(&self) -> Vec<bool> {
+        let (from, to) = (&self.from.ids, &self.to.ids);
+        if self.blend == 0.0 {
+            return vec![true; from.len()];
+        }
+        let (in_from, in_to): (HashSet<u32>, HashSet<u32>) =
+            (from.iter().copied().collect(), to.iter().copied().collect());
+        let mut stays: Vec<bool> = from.iter().map(|id| in_to.contains(id)).collect();
+        stays.resize(from.len() + to.iter().filter(|id| !in_from.contains(*id)).count(), false);
+        stays
     }
 
     /// The density of every cell, in flat order: what the GPU's density pass computes.

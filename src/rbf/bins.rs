@@ -1,5 +1,6 @@
 //! Which Gaussians matter where: uniform bins over the density grid.
 
+use bevy::platform::collections::HashMap;
 use glam::{UVec3, Vec3};
 
 use super::{Rbf, SUPPORT};
@@ -17,8 +18,8 @@ const NEAREST: usize = 4;
 /// Bin (0,0,0) starts at cell (0,0,0); bins are numbered `x + dims.x (y + dims.y z)`. A bin lists every Gaussian whose
 /// support meets the bin's box grown by one cell on every side, so trilinear interpolation between cells of neighbouring
 /// bins sees the same Gaussians. A bin that no support meets lists its 4 nearest (by distance over radius from the
-/// bin's centre, ties by index), so that wisps outside every support still have a source radiance. Only an empty model
-/// has empty lists.
+/// bin's centre, ties by index), so that wisps outside every support still have a source radiance; one that only Gaussians
+/// meet which come or go as time goes on lists those beside the 4 nearest that stay. Only an empty model has empty lists.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RbfBins {
     /// Bins a side: the grid's dimensions over [`BIN_CELLS`], rounded up.
@@ -32,37 +33,66 @@ pub struct RbfBins {
 impl RbfBins {
     /// Sorts `rbfs` into bins over `shape`.
     pub fn new(rbfs: &[Rbf], shape: GridShape) -> Self {
+        Self::of_moment(rbfs, &vec![true; rbfs.len()], shape)
+    }
+
+    /// The same of a moment between two frames, where some stay and others come or go.
+    pub fn of_moment(rbfs: &[Rbf], stays: &[bool], shape: GridShape) -> Self {
         let dims = shape.dims.map(|n| n.div_ceil(BIN_CELLS));
         let bins = GridShape::new(dims);
-        let mut lists: Vec<Vec<u32>> = vec![Vec::new(); bins.len()];
-        for (index, rbf) in (0..).zip(rbfs) {
-            let (first, last) = reach(rbf, shape, dims);
-            for z in first.z..=last.z {
-                for y in first.y..=last.y {
-                    for x in first.x..=last.x {
-                        let bin = UVec3::new(x, y, z);
-                        if meets(rbf, grown_box(bin, shape)) {
-                            lists[bins.index(bin)].push(index);
-                        }
-                    }
-                }
-            }
-        }
-        for (bin, list) in lists.iter_mut().enumerate().filter(|(_, list)| list.is_empty()) {
-            let (low, high) = grown_box(bins.cell(bin), shape);
-            *list = nearest(rbfs, 0.5 * (low + high));
+        // The bins that every Gaussian meets, Gaussian by Gaussian, and how many Gaussians every bin has.
+        let mut met = Vec::new();
+        let mut counts = vec![0_u32; bins.len()];
+        let mut is_covered = vec![false; bins.len()];
+        let ends: Vec<usize> = rbfs
+            .iter()
+            .zip(stays)
+            .map(|(rbf, stays)| {
+                met_bins(rbf, shape, bins, |bin| {
+                    met.push(bin as u32);
+                    counts[bin] += 1;
+                    is_covered[bin] |= stays;
+                });
+                met.len()
+            })
+            .collect();
+        // Those that stay and do not meet the bin: no entry twice.
+        let staying: Vec<u32> = (0..).zip(stays).filter(|(_, stays)| **stays).map(|(index, _)| index).collect();
+        let mut candidates = Candidates::new(rbfs, &staying, shape, bins);
+        let uncovered: Vec<(usize, Vec<u32>)> =
+            (0..bins.len()).filter(|&bin| !is_covered[bin]).map(|bin| (bin, candidates.nearest(bin))).collect();
+        for (bin, list) in &uncovered {
+            counts[*bin] += list.len() as u32;
         }
 
-        let mut offsets = vec![0];
-        let mut indices = Vec::with_capacity(lists.iter().map(Vec::len).sum());
-        for list in &lists {
-            indices.extend(list);
-            offsets.push(indices.len() as u32);
+        let mut offsets = Vec::with_capacity(bins.len() + 1);
+        offsets.push(0);
+        let mut end = 0;
+        for count in counts {
+            end += count;
+            offsets.push(end);
+        }
+        let mut indices = vec![0; end as usize];
+        // Where each bin's next entry goes; Gaussians come in order, so that lists ascend.
+        let mut next = offsets.clone();
+        let mut start = 0;
+        for (index, end) in (0..).zip(ends) {
+            for &bin in &met[start..end] {
+                let at = &mut next[bin as usize];
+                indices[*at as usize] = index;
+                *at += 1;
+            }
+            start = end;
+        }
+        for (bin, list) in uncovered {
+            let end = offsets[bin + 1] as usize;
+            indices[end - list.len()..end].copy_from_slice(&list);
+            indices[offsets[bin] as usize..end].sort_unstable();
         }
         Self { dims, offsets, indices }
     }
 
-    /// An upper bound on the number of entries that [`new`](Self::new) would list, found without listing them.
+    /// An upper bound on the number of entries that would be listed, found without listing them.
     pub fn entry_bound(rbfs: &[Rbf], shape: GridShape) -> u64 {
         let dims = shape.dims.map(|n| n.div_ceil(BIN_CELLS));
         let reached = |rbf: &Rbf| {
@@ -89,10 +119,30 @@ fn grown_box(bin: UVec3, shape: GridShape) -> (Vec3, Vec3) {
     (shape.center(first) - margin, shape.center(last) + margin)
 }
 
-/// Whether the support of `rbf` meets a box.
-fn meets(rbf: &Rbf, (low, high): (Vec3, Vec3)) -> bool {
-    let center = Vec3::from(rbf.center);
-    center.clamp(low, high).distance_squared(center) < (SUPPORT * rbf.radius).powi(2)
+/// Calls `found` with every bin whose grown box the support of `rbf` meets.
+fn met_bins(rbf: &Rbf, shape: GridShape, bins: GridShape, mut found: impl FnMut(usize)) {
+    let (first, last) = reach(rbf, shape, bins.dims);
+    // Squared distances to the bins' boxes, axis by axis.
+    let apart: [Vec<f32>; 3] = std::array::from_fn(|axis| {
+        (first[axis]..=last[axis])
+            .map(|bin| {
+                let (low, high) = grown_box(UVec3::splat(bin).min(bins.dims - 1), shape);
+                let center = rbf.center[axis];
+                (center.clamp(low[axis], high[axis]) - center).powi(2)
+            })
+            .collect()
+    });
+    let reach2 = (SUPPORT * rbf.radius).powi(2);
+    for (z, dz2) in (first.z..).zip(&apart[2]) {
+        for (y, dy2) in (first.y..).zip(&apart[1]) {
+            let row = bins.index(UVec3::new(0, y, z));
+            for (x, dx2) in (first.x..).zip(&apart[0]) {
+                if dx2 + dy2 + dz2 < reach2 {
+                    found(row + x as usize);
+                }
+            }
+        }
+    }
 }
 
 /// The first and last bin that `rbf` may reach, a cell generous: [`meets`] decides.
@@ -107,10 +157,65 @@ fn reach(rbf: &Rbf, shape: GridShape, dims: UVec3) -> (UVec3, UVec3) {
     (bin(center - margin), bin(center + margin))
 }
 
-/// The [`NEAREST`] Gaussians to `point` by distance over radius, ties by index; ascending.
-fn nearest(rbfs: &[Rbf], point: Vec3) -> Vec<u32> {
+/// Side in bins of the blocks whose bins look for their nearest Gaussians among the same few.
+const BLOCK: u32 = 4;
+
+/// Finds the nearest Gaussians of bins that no support meets: few of them can be, for all bins of a block.
+struct Candidates<'a> {
+    rbfs: &'a [Rbf],
+    among: &'a [u32],
+    shape: GridShape,
+    bins: GridShape,
+    blocks: HashMap<UVec3, Vec<u32>>,
+}
+
+impl<'a> Candidates<'a> {
+    fn new(rbfs: &'a [Rbf], among: &'a [u32], shape: GridShape, bins: GridShape) -> Self {
+        Self { rbfs, among, shape, bins, blocks: HashMap::default() }
+    }
+
+    /// The [`NEAREST`] Gaussians to a bin's centre by distance over radius, ties by index; ascending.
+    fn nearest(&mut self, bin: usize) -> Vec<u32> {
+        let (rbfs, among, shape, bins) = (self.rbfs, self.among, self.shape, self.bins);
+        let center = |bin: UVec3| {
+            let (low, high) = grown_box(bin, shape);
+            0.5 * (low + high)
+        };
+        let bin = bins.cell(bin);
+        let block = bin / BLOCK;
+        let candidates = self.blocks.entry(block).or_insert_with(|| {
+            let (first, last) = (center(block * BLOCK), center((block * BLOCK + BLOCK - 1).min(bins.dims - 1)));
+            of_block(rbfs, among, 0.5 * (first + last), 0.5 * first.distance(last))
+        });
+        nearest(rbfs, candidates, center(bin))
+    }
+}
+
+/// Those that may be among the [`NEAREST`] of some point within `reach` of `center`; ascending.
+fn of_block(rbfs: &[Rbf], among: &[u32], center: Vec3, reach: f32) -> Vec<u32> {
+    let ranges: Vec<(f32, f32)> = among
+        .iter()
+        .map(|&index| {
+            let rbf = &rbfs[index as usize];
+            let distance = center.distance(Vec3::from(rbf.center));
+            ((distance - reach) / rbf.radius, (distance + reach) / rbf.radius)
+        })
+        .collect();
+    let mut farthest: Vec<f32> = ranges.iter().map(|range| range.1).collect();
+    let rank = NEAREST.min(farthest.len());
+    // So many are at most this far from any of the points; a little more, for rounding.
+    let enough = match rank.checked_sub(1) {
+        Some(last) => *farthest.select_nth_unstable_by(last, f32::total_cmp).1 * 1.0001 + 1e-4,
+        None => return Vec::new(),
+    };
+    among.iter().zip(ranges).filter(|(_, range)| range.0 <= enough).map(|(index, _)| *index).collect()
+}
+
+/// The [`NEAREST`] of some Gaussians to `point` by distance over radius, ties by index; ascending.
+fn nearest(rbfs: &[Rbf], among: &[u32], point: Vec3) -> Vec<u32> {
     let mut best: Vec<(f32, u32)> = Vec::with_capacity(NEAREST + 1);
-    for (index, rbf) in (0..).zip(rbfs) {
+    for &index in among {
+        let rbf = &rbfs[index as usize];
         let distance = point.distance(Vec3::from(rbf.center)) / rbf.radius;
         let rank = best.partition_point(|&(other, _)| other <= distance);
         if rank < NEAREST {

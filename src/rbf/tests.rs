@@ -100,3 +100,42 @@ fn a_bin_out_of_reach_lists_the_nearest() {
     // Cells in the padding use the nearest bin.
     assert_eq!(bins.at(UVec3::new(64, 8, 8)), [4, 5, 6, 7]);
 }
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn bins_out_of_reach_list_the_nearest_of_all(rbfs in models(), x in 1u32..90, y in 1u32..60, z in 1u32..60) {
+        let shape = GridShape::new(UVec3::new(x, y, z));
+        let bins = RbfBins::new(&rbfs, shape);
+        let grid = GridShape::new(bins.dims);
+        for bin in (0..grid.len()).map(|index| grid.cell(index)) {
+            let (low, high) = (bin * BIN_CELLS, ((bin + 1) * BIN_CELLS).min(shape.dims) - 1);
+            let center = 0.5 * (shape.center(low) + shape.center(high));
+            let far = |rbf: &Rbf| center.distance(Vec3::from(rbf.center)) / rbf.radius;
+            // Farther than the bin's corners, grown by a cell and more.
+            if rbfs.iter().any(|rbf| center.distance(Vec3::from(rbf.center)) < SUPPORT * rbf.radius + 11.0 * shape.cell_size()) {
+                continue;
+            }
+            let mut distances: Vec<f32> = rbfs.iter().map(far).collect();
+            distances.sort_by(f32::total_cmp);
+            let mut found: Vec<f32> = bins.at(low).iter().map(|&i| far(&rbfs[i as usize])).collect();
+            found.sort_by(f32::total_cmp);
+            prop_assert_eq!(found.len(), rbfs.len().min(4));
+            prop_assert!(found.iter().zip(&distances).all(|(a, b)| (a - b).abs() < 1e-4 * b), "{:?} {:?}", found, distances);
+        }
+    }
+}
+
+#[test]
+fn a_bin_that_passing_gaussians_meet_lists_the_nearest_that_stay_too() {
+    let mut rbfs: Vec<Rbf> = (0..8).map(|i| rbf([-0.49 + 0.01 * i as f32, 0.0, 0.0], 0.015, 1.0)).collect();
+    rbfs.insert(5, rbf([0.49, 0.0, 0.0], 0.02, 1e-6));
+    let mut stays = vec![true; 9];
+    stays[5] = false;
+    let shape = GridShape::new(UVec3::new(64, 8, 8));
+    assert_eq!(RbfBins::of_moment(&rbfs, &stays, shape).at(UVec3::new(63, 0, 0)), [4, 5, 6, 7, 8]);
+    assert_eq!(RbfBins::new(&rbfs, shape).at(UVec3::new(63, 0, 0)), [5]);
+    // Elsewhere it is as if there were none.
+    assert_eq!(RbfBins::of_moment(&rbfs, &stays, shape).at(UVec3::new(33, 0, 0)), [4, 6, 7, 8]);
+}

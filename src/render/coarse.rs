@@ -11,7 +11,6 @@ use bevy::shader::Shader;
 use super::frame::{FILTERED_FORMAT, FrameUniform, GpuSmokeFrame};
 use super::pass::{ComputePass, Job, workgroups};
 use super::{SmokePasses, SmokeRenderStats, SmokeWork};
-use crate::density::GridShape;
 
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_coarse";
@@ -28,19 +27,13 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
     ComputePass::new(LABEL, &entries, shader, "average", vec![], cache)
 }
 
-pub(super) fn job(
-    pass: &ComputePass,
-    shape: GridShape,
-    frame: &GpuSmokeFrame,
-    device: &RenderDevice,
-    cache: &PipelineCache,
-) -> Job {
+pub(super) fn job(pass: &ComputePass, frame: &GpuSmokeFrame, device: &RenderDevice, cache: &PipelineCache) -> Job {
     let bindings = (frame.uniform.as_entire_binding(), &frame.density, &frame.coarse);
-    let padded = shape.coarse().dims + 2;
+    let padded = frame.shape.coarse().dims + 2;
     Job { bind_group: pass.bind(device, cache, bindings), workgroups: workgroups(padded, UVec3::splat(4)) }
 }
 
-/// Averages the density of every frame that is new.
+/// Averages the density of every moment that is new.
 pub(super) fn coarse(
     work: Res<SmokeWork>,
     passes: Res<SmokePasses>,

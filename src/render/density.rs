@@ -1,4 +1,5 @@
-//! Density pass: RBFs + hashed residual → density of every cell. Runs when a frame of smoke is first shown.
+//! Density pass: RBFs + hashed residuals of two baked frames → density of every cell. Runs when a volume's moment has
+//! changed.
 
 use bevy::prelude::*;
 use bevy::render::render_resource::binding_types::{
@@ -11,7 +12,6 @@ use bevy::shader::Shader;
 use super::frame::{DENSITY_FORMAT, FrameUniform, GpuSmokeFrame};
 use super::pass::{ComputePass, Job, workgroups};
 use super::{SmokePasses, SmokeRenderStats, SmokeWork};
-use crate::density::GridShape;
 
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_density";
@@ -27,20 +27,14 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
             storage(),
             storage(),
             storage(),
-            storage(),
             texture_storage_3d(DENSITY_FORMAT, StorageTextureAccess::WriteOnly),
         ),
     );
     ComputePass::new(LABEL, &entries, shader, "reconstruct", vec![], cache)
 }
 
-pub(super) fn job(
-    pass: &ComputePass,
-    shape: GridShape,
-    frame: &GpuSmokeFrame,
-    device: &RenderDevice,
-    cache: &PipelineCache,
-) -> Job {
+pub(super) fn job(pass: &ComputePass, frame: &GpuSmokeFrame, device: &RenderDevice, cache: &PipelineCache) -> Job {
+    let [from, to] = frame.residuals();
     let bind_group = pass.bind(
         device,
         cache,
@@ -49,16 +43,15 @@ pub(super) fn job(
             frame.rbfs.as_entire_binding(),
             frame.bin_offsets.as_entire_binding(),
             frame.bin_indices.as_entire_binding(),
-            frame.occupancy.as_entire_binding(),
-            frame.hash_offsets.as_entire_binding(),
-            frame.hash_table.as_entire_binding(),
+            from.as_entire_binding(),
+            to.as_entire_binding(),
             &frame.density,
         ),
     );
-    Job { bind_group, workgroups: workgroups(shape.dims, UVec3::new(8, 8, 4)) }
+    Job { bind_group, workgroups: workgroups(frame.shape.dims, UVec3::new(8, 8, 4)) }
 }
 
-/// Unpacks the density of every frame that is new.
+/// Unpacks the density of every moment that is new.
 pub(super) fn density(
     work: Res<SmokeWork>,
     passes: Res<SmokePasses>,

@@ -120,13 +120,14 @@ impl DiffusionPass {
     }
 
     /// One solve, in order.
-    pub fn jobs(&self, groups: &BindGroups) -> Vec<(&ComputePass, Job)> {
+    pub fn jobs(&self, solve: &DiffusionJob) -> Vec<(&ComputePass, Job)> {
+        let DiffusionJob { bind_groups: groups, rbf_count } = solve;
         let job =
             |bind_group: &BindGroup, x: u32| Job { bind_group: bind_group.clone(), workgroups: UVec3::new(x, 1, 1) };
         let all = groups.cell_count.div_ceil(THREADS);
         let [even, odd] = &groups.solve;
         let mut jobs = vec![
-            (&self.fit, job(&groups.source, (4 * groups.rbf_count).div_ceil(64))),
+            (&self.fit, job(&groups.source, (4 * rbf_count).div_ceil(64))),
             (&self.spread, job(&groups.source, groups.cell_count.div_ceil(64))),
             (&self.begin, job(even, all)),
         ];
@@ -135,7 +136,7 @@ impl DiffusionPass {
             jobs.extend([&self.multiply, &self.descend, &self.turn].map(|pass| (pass, job(group, all))));
         }
         jobs.push((&self.media, job(even, all)));
-        jobs.push((&self.scatter, job(&groups.scatter, (PROBES * groups.rbf_count).div_ceil(64))));
+        jobs.push((&self.scatter, job(&groups.scatter, (PROBES * rbf_count).div_ceil(64))));
         jobs
     }
 }
@@ -156,7 +157,6 @@ pub(super) struct Bindings<'a> {
 
 /// The bindings of a solve's dispatches.
 pub(super) struct BindGroups {
-    rbf_count: u32,
     cell_count: u32,
     source: BindGroup,
     /// For the even and the odd steps: what one finds as the residual before, the other leaves as that after.
@@ -182,10 +182,9 @@ impl Bindings<'_> {
         device: &RenderDevice,
         cache: &PipelineCache,
     ) -> BindGroups {
-        let rbf_count = self.frame.rbf_count;
         let cell_count = shape.coarse().coarsened(CELLS).len() as u32;
         let cell_buffer = |label, vectors: u64| storage_buffer(device, label, u64::from(cell_count) * vectors * 16);
-        let fits = storage_buffer(device, "smoke_diffusion_fits", u64::from(rbf_count.max(1)) * FIT_BYTES);
+        let fits = storage_buffer(device, "smoke_diffusion_fits", u64::from(self.frame.rbf_capacity) * FIT_BYTES);
         let cells = cell_buffer("smoke_diffusion_cells", 4);
         let vectors = cell_buffer("smoke_diffusion_vectors", 4);
         let shares = [(); 4]
@@ -227,7 +226,6 @@ impl Bindings<'_> {
         let scatter =
             (frame(), lighting(), diffusion(), rbfs(), vectors.as_entire_binding(), self.probes.as_entire_binding());
         BindGroups {
-            rbf_count,
             cell_count,
             source: pass.fit.bind(device, cache, source),
             solve,
@@ -237,7 +235,10 @@ impl Bindings<'_> {
 }
 
 /// A solve of this frame.
-pub(super) type DiffusionJob = Arc<BindGroups>;
+pub(super) struct DiffusionJob {
+    pub bind_groups: Arc<BindGroups>,
+    pub rbf_count: u32,
+}
 
 /// Solves for every volume whose light changed.
 pub(super) fn diffusion(
@@ -247,7 +248,7 @@ pub(super) fn diffusion(
     stats: Res<SmokeRenderStats>,
     mut ctx: RenderContext,
 ) {
-    let jobs: Vec<_> = work.diffusion.iter().flat_map(|groups| passes.diffusion.jobs(groups)).collect();
+    let jobs: Vec<_> = work.diffusion.iter().flat_map(|job| passes.diffusion.jobs(job)).collect();
     let jobs: Vec<_> = jobs.iter().map(|(pass, job)| (*pass, job)).collect();
     ComputePass::run_all(LABEL, &jobs, &cache, &DispatchCounter::default(), &mut ctx);
     // How many of a solve's dispatches find work is for the GPU to know: a solve counts as one.

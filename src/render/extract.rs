@@ -11,12 +11,11 @@ use bevy::render::sync_world::MainEntity;
 
 use super::lamp::Lamp;
 use super::view::Emission;
-use crate::bundle::SmokeAnimation;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
-use crate::playback::SmokePlayback;
+use crate::playback::{Moment, SmokeMoment};
 use crate::scattering::SmokeScattering;
 use crate::sun::EnvironmentSuns;
 use crate::volume::SmokeVolume;
@@ -32,8 +31,7 @@ pub(super) struct ExtractedSmoke {
 
 /// A volume as the render world sees it.
 pub(super) struct ExtractedVolume {
-    pub animation: AssetId<SmokeAnimation>,
-    pub frame: u32,
+    pub moment: Moment,
     pub world_from_bundle: Affine3A,
     pub medium: SmokeMedium,
     pub environment: SmokeEnvironment,
@@ -79,16 +77,18 @@ type LampQuery<'w, 's, L> = Query<
 pub(super) fn extract_smoke(
     mut smoke: ResMut<ExtractedSmoke>,
     volumes: Extract<
-        Query<(
-            Entity,
-            &SmokeVolume,
-            &SmokePlayback,
-            &SmokeMedium,
-            &SmokeEnvironment,
-            &SmokeScattering,
-            &GlobalTransform,
-            Option<&RenderLayers>,
-        )>,
+        Query<
+            (
+                Entity,
+                &SmokeMoment,
+                &SmokeMedium,
+                &SmokeEnvironment,
+                &SmokeScattering,
+                &GlobalTransform,
+                Option<&RenderLayers>,
+            ),
+            With<SmokeVolume>,
+        >,
     >,
     #[cfg(feature = "reference")] papers: Extract<Query<&SmokePaper>>,
     cameras: Extract<Query<(Entity, Option<&EnvironmentMapLight>, Option<&AmbientLight>), With<Camera3d>>>,
@@ -100,14 +100,15 @@ pub(super) fn extract_smoke(
     environment_suns: Extract<Res<EnvironmentSuns>>,
 ) {
     smoke.volumes.clear();
-    for (entity, volume, playback, medium, environment, scattering, transform, layers) in &volumes {
+    for (entity, moment, medium, environment, scattering, transform, layers) in &volumes {
+        // Nothing has come yet.
+        let Some(moment) = &moment.0 else { continue };
         let clamped = medium.clamped();
         if clamped != *medium {
             warn_once!("{medium:?} of smoke volume {entity} is out of range: it is drawn as {clamped:?} (said once)");
         }
         let extracted = ExtractedVolume {
-            animation: volume.animation.id(),
-            frame: playback.frame,
+            moment: moment.clone(),
             world_from_bundle: transform.affine(),
             medium: clamped,
             environment: environment.clone(),

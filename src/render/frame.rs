@@ -1,23 +1,19 @@
-//! A frame of smoke on the GPU: its RBFs, bins and hash tables, and the density textures that they are unpacked to.
+//! A moment of smoke on the GPU: its RBFs and bins, rewritten in place as time goes on, and the density textures that
+//! they and the residuals of two baked frames are unpacked to.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::Arc;
 
-use bevy::asset::AssetId;
-use bevy::ecs::system::SystemParamItem;
-use bevy::ecs::system::lifetimeless::SRes;
-use bevy::math::DVec3;
 use bevy::prelude::*;
-use bevy::render::render_asset::{PrepareAssetError, RenderAsset};
 use bevy::render::render_resource::{
-    Buffer, BufferInitDescriptor, BufferUsages, Extent3d, ShaderType, TextureDescriptor, TextureDimension,
-    TextureFormat, TextureUsages, TextureView, TextureViewDescriptor, UniformBuffer, encase,
+    Buffer, BufferDescriptor, BufferUsages, Extent3d, ShaderType, TextureDescriptor, TextureDimension, TextureFormat,
+    TextureUsages, TextureView, TextureViewDescriptor, UniformBuffer, encase,
 };
 use bevy::render::renderer::{RenderDevice, RenderQueue};
 
+use super::baked::GpuBakedFrame;
 use super::incident_light::PROBE_BYTES;
-use crate::bundle::{SmokeAnimation, SmokeFrame, SmokeFrames};
 use crate::density::GridShape;
-use crate::optics::gaussian_column;
+use crate::playback::Moment;
 use crate::rbf::{Rbf, RbfBins};
 
 /// Format of [`GpuSmokeFrame::density`]: read texel by texel, at full precision.
@@ -25,34 +21,27 @@ pub(super) const DENSITY_FORMAT: TextureFormat = TextureFormat::R32Float;
 /// Format of the textures that are sampled with filtering; the one such format every WebGPU device can also store to.
 pub(super) const FILTERED_FORMAT: TextureFormat = TextureFormat::Rgba16Float;
 
-/// An animation on the GPU.
-pub struct GpuSmokeAnimation {
-    pub(super) shape: GridShape,
-    /// What the value 1 of the filtered density textures stands for; above 0.
-    pub(super) max_density: f32,
-    pub(super) frames: Vec<GpuSmokeFrame>,
-}
-
-/// One frame on the GPU.
+/// One moment on the GPU.
 pub(super) struct GpuSmokeFrame {
+    pub shape: GridShape,
     pub rbf_count: u32,
-    /// Density columns in all directions from within the smoke, scaled density times bundle length: a sample.
-    columns: Vec<f32>,
-    /// Scaled density times radius of an RBF, the mean over all smoke: its optical radius over the extinction.
-    pub typical_depth: f32,
+    /// RBFs that every buffer of something an RBF has room for, here and in the volumes that show the moment.
+    pub rbf_capacity: u32,
+    /// Counts the rewrites.
+    pub version: u32,
+    blend: f32,
+    /// What the value 1 of the filtered density textures stands for; above 0.
+    max_density: f32,
+    baked: [Arc<GpuBakedFrame>; 2],
+    /// New, like the buffers after it, where RBFs or bins had outgrown them.
     pub uniform: Buffer,
     pub rbfs: Buffer,
     pub bin_offsets: Buffer,
     pub bin_indices: Buffer,
-    pub occupancy: Buffer,
-    pub hash_offsets: Buffer,
-    pub hash_table: Buffer,
     /// Density of every cell, written by the density pass.
     pub density: TextureView,
     /// Coarse density, padded by an empty cell on each side, written by the coarse pass.
     pub coarse: TextureView,
-    /// Whether `density` and `coarse` have been written.
-    unpacked: AtomicBool,
 }
 
 /// The `Frame` of `frame.wgsl`.
@@ -64,12 +53,10 @@ pub(super) struct FrameUniform {
     cell: f32,
     coarse_dims: UVec3,
     coarse_ratio: f32,
-    residual_max: f32,
-    residual_exponent: f32,
-    offset_side: u32,
-    table_len: u32,
     /// Multiplies the density before it is stored in half precision.
     density_scale: f32,
+    blend: f32,
+    rbf_capacity: u32,
 }
 
 /// The `Rbf` of `frame.wgsl`.
@@ -81,103 +68,142 @@ struct RbfEntry {
 }
 
 impl GpuSmokeFrame {
+    /// A moment, its RBFs as [`Moment::rbfs`] lists them.
     pub fn new(
-        shape: GridShape,
-        frame: &SmokeFrame,
-        max_density: f32,
+        moment: &Moment,
+        rbfs: &[Rbf],
+        baked: [Arc<GpuBakedFrame>; 2],
         device: &RenderDevice,
         queue: &RenderQueue,
     ) -> Self {
-        let rbfs = &frame.rbfs.rbfs;
-        let residual = &frame.residual;
-        let bins = RbfBins::new(rbfs, shape);
-        let coarse = shape.coarse();
-        Self {
-            rbf_count: rbfs.len() as u32,
-            columns: sample_columns(rbfs, max_density),
-            typical_depth: typical_depth(rbfs, max_density),
-            uniform: uniform(device, queue, "smoke_frame", frame_uniform(shape, frame, &bins, max_density)),
-            rbfs: rbf_buffer(device, rbfs),
-            bin_offsets: storage(device, "smoke_bin_offsets", &bins.offsets),
-            bin_indices: storage(device, "smoke_bin_indices", &bins.indices),
-            occupancy: storage(device, "smoke_residual_occupancy", residual.occupancy()),
-            hash_offsets: storage(device, "smoke_residual_offsets", &residual.packed_offsets()),
-            hash_table: storage(device, "smoke_residual_table", residual.table()),
+        let shape = moment.shape();
+        let bins = RbfBins::of_moment(rbfs, &moment.stays(), shape);
+        let rbf_capacity = rbf_capacity(rbfs.len() as u32);
+        let [uniform, rbf_buffer, bin_offsets, bin_indices] = buffers(rbf_capacity, &bins, device);
+        let mut frame = Self {
+            shape,
+            rbf_count: 0,
+            rbf_capacity,
+            version: 0,
+            blend: 0.0,
+            max_density: 1.0,
+            baked,
+            uniform,
+            rbfs: rbf_buffer,
+            bin_offsets,
+            bin_indices,
             density: texture_3d(device, "smoke_density", shape.dims, DENSITY_FORMAT),
-            coarse: texture_3d(device, "smoke_coarse_density", coarse.dims + 2, FILTERED_FORMAT),
-            unpacked: AtomicBool::new(false),
+            coarse: texture_3d(device, "smoke_coarse_density", shape.coarse().dims + 2, FILTERED_FORMAT),
+        };
+        frame.write(moment, rbfs, &bins, queue);
+        frame
+    }
+
+    /// Shows another moment on the same cells: the density passes must run again.
+    pub fn rewrite(
+        &mut self,
+        moment: &Moment,
+        rbfs: &[Rbf],
+        baked: [Arc<GpuBakedFrame>; 2],
+        device: &RenderDevice,
+        queue: &RenderQueue,
+    ) {
+        let bins = RbfBins::of_moment(rbfs, &moment.stays(), self.shape);
+        if rbfs.len() as u32 > self.rbf_capacity || 4 * bins.indices.len() as u64 > self.bin_indices.size() {
+            self.rbf_capacity = self.rbf_capacity.max(rbf_capacity(rbfs.len() as u32));
+            [self.uniform, self.rbfs, self.bin_offsets, self.bin_indices] = buffers(self.rbf_capacity, &bins, device);
+        }
+        self.baked = baked;
+        self.version += 1;
+        self.write(moment, rbfs, &bins, queue);
+    }
+
+    fn write(&mut self, moment: &Moment, rbfs: &[Rbf], bins: &RbfBins, queue: &RenderQueue) {
+        self.rbf_count = rbfs.len() as u32;
+        self.blend = moment.blend;
+        self.max_density = moment.density_scale();
+        let mut uniform = encase::UniformBuffer::new(Vec::<u8>::new());
+        uniform.write(&self.frame_uniform(bins)).expect("a Vec grows as it is written to");
+        let entries: Vec<RbfEntry> =
+            rbfs.iter().map(|r| RbfEntry { center: r.center.into(), radius: r.radius, weight: r.weight }).collect();
+        let mut entry_bytes = encase::StorageBuffer::new(Vec::<u8>::new());
+        entry_bytes.write(&entries).expect("a Vec grows as it is written to");
+        queue.write_buffer(&self.uniform, 0, uniform.as_ref());
+        queue.write_buffer(&self.rbfs, 0, entry_bytes.as_ref());
+        queue.write_buffer(&self.bin_offsets, 0, bytemuck::cast_slice(&bins.offsets));
+        queue.write_buffer(&self.bin_indices, 0, bytemuck::cast_slice(&bins.indices));
+    }
+
+    fn frame_uniform(&self, bins: &RbfBins) -> FrameUniform {
+        let shape = self.shape;
+        FrameUniform {
+            dims: shape.dims,
+            rbf_count: self.rbf_count,
+            bins: bins.dims,
+            cell: shape.cell_size(),
+            coarse_dims: shape.coarse().dims,
+            coarse_ratio: (shape.longest() as f32 / crate::density::COARSE_CELLS as f32).max(1.0),
+            density_scale: 1.0 / self.max_density,
+            blend: self.blend,
+            rbf_capacity: self.rbf_capacity,
         }
     }
 
+    /// The residuals that are blended; the same one twice where nothing is.
+    pub fn residuals(&self) -> [&Buffer; 2] {
+        self.baked.each_ref().map(|baked| &baked.residual)
+    }
+
     /// The probability that light which has scattered meets smoke again, for an extinction per bundle unit and scaled
-    /// density: the mean of 1 − transmittance from within the smoke, an estimate.
+    /// density.
     pub fn chance_to_meet_again(&self, sigma: f32) -> f32 {
-        let met: f32 = self.columns.iter().map(|column| -(-sigma * column).exp_m1()).sum();
-        met / self.columns.len().max(1) as f32
+        self.mix(|baked| baked.chance_to_meet_again(sigma / self.max_density))
     }
 
-    /// True the first time it is asked: then the density passes must run.
-    pub fn take_unpacking(&self) -> bool {
-        !self.unpacked.swap(true, Ordering::Relaxed)
+    /// Scaled density times radius of an RBF, the mean over all smoke: its optical radius over the extinction.
+    pub fn typical_depth(&self) -> f32 {
+        self.mix(|baked| baked.typical_depth / self.max_density)
     }
-}
 
-fn typical_depth(rbfs: &[Rbf], max_density: f32) -> f32 {
-    let mass = |rbf: &Rbf| rbf.weight * rbf.radius.powi(3);
-    let sum: f32 = rbfs.iter().map(|rbf| mass(rbf) * rbf.weight / max_density * rbf.radius).sum();
-    sum / rbfs.iter().map(mass).sum::<f32>().max(f32::MIN_POSITIVE)
-}
+    fn mix(&self, of: impl Fn(&GpuBakedFrame) -> f32) -> f32 {
+        let [from, to] = &self.baked;
+        (1.0 - self.blend) * of(from) + if self.blend > 0.0 { self.blend * of(to) } else { 0.0 }
+    }
 
-/// Columns along the axes from the centres of RBFs, spread over the list.
-fn sample_columns(rbfs: &[Rbf], max_density: f32) -> Vec<f32> {
-    const CENTERS: usize = 24;
-    let from = rbfs.iter().step_by(rbfs.len().div_ceil(CENTERS).max(1));
-    let center = |rbf: &Rbf| Vec3::from(rbf.center).as_dvec3();
-    from.flat_map(|from| DVec3::AXES.into_iter().flat_map(|axis| [axis, -axis]).map(move |dir| (center(from), dir)))
-        .map(|(from, dir)| {
-            let columns = rbfs.iter().map(|rbf| {
-                gaussian_column(from, dir, center(rbf), rbf.radius.into(), (rbf.weight / max_density).into())
-            });
-            columns.sum::<f64>() as f32
-        })
-        .collect()
-}
-
-fn frame_uniform(shape: GridShape, frame: &SmokeFrame, bins: &RbfBins, max_density: f32) -> FrameUniform {
-    let residual = &frame.residual;
-    let longest = shape.longest() as f32;
-    FrameUniform {
-        dims: shape.dims,
-        rbf_count: frame.rbfs.rbfs.len() as u32,
-        bins: bins.dims,
-        cell: shape.cell_size(),
-        coarse_dims: shape.coarse().dims,
-        coarse_ratio: (longest / crate::density::COARSE_CELLS as f32).max(1.0),
-        residual_max: residual.law().max,
-        residual_exponent: residual.law().exponent,
-        offset_side: residual.offset_side(),
-        table_len: residual.slots(),
-        density_scale: 1.0 / max_density,
+    /// Bytes on the GPU, without the residuals.
+    pub fn bytes(&self) -> u64 {
+        let buffers = [&self.uniform, &self.rbfs, &self.bin_offsets, &self.bin_indices];
+        let textures = [&self.density, &self.coarse].map(|view| {
+            let (size, texel) = (view.texture().size(), view.texture().format().block_copy_size(None));
+            u64::from(size.width * size.height * size.depth_or_array_layers) * u64::from(texel.unwrap_or(0))
+        });
+        buffers.iter().map(|buffer| buffer.size()).sum::<u64>() + textures.iter().sum::<u64>()
     }
 }
 
-fn rbf_buffer(device: &RenderDevice, rbfs: &[Rbf]) -> Buffer {
-    let entries: Vec<RbfEntry> =
-        rbfs.iter().map(|r| RbfEntry { center: r.center.into(), radius: r.radius, weight: r.weight }).collect();
-    let mut bytes = encase::StorageBuffer::new(Vec::<u8>::new());
-    bytes.write(&entries).expect("a Vec grows as it is written to");
-    storage(device, "smoke_rbfs", &bytes.into_inner())
+/// Room for so many RBFs, and for some that come and go as time goes on.
+fn rbf_capacity(count: u32) -> u32 {
+    (count + count / 16).max(1).next_multiple_of(64)
 }
 
-/// A read-only storage buffer; never empty, since empty buffers cannot be bound.
-fn storage<T: bytemuck::NoUninit>(device: &RenderDevice, label: &str, data: &[T]) -> Buffer {
-    let mut contents = bytemuck::cast_slice::<T, u8>(data).to_vec();
-    contents.resize(contents.len().max(32).next_multiple_of(4), 0);
-    device.create_buffer_with_data(&BufferInitDescriptor {
-        label: Some(label),
-        contents: &contents,
-        usage: BufferUsages::STORAGE,
-    })
+/// The same for the bins' entries.
+fn entry_capacity(entries: u64) -> u64 {
+    (entries + entries / 4).max(1).next_multiple_of(1024)
+}
+
+/// Uniform, RBFs, offsets and entries of the bins.
+fn buffers(rbf_capacity: u32, bins: &RbfBins, device: &RenderDevice) -> [Buffer; 4] {
+    let buffer = |label, size, usage| {
+        let usage = usage | BufferUsages::COPY_DST;
+        device.create_buffer(&BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
+    };
+    let entries = entry_capacity(bins.indices.len() as u64);
+    [
+        buffer("smoke_frame", FrameUniform::min_size().get(), BufferUsages::UNIFORM),
+        buffer("smoke_rbfs", u64::from(rbf_capacity) * RbfEntry::min_size().get(), BufferUsages::STORAGE),
+        buffer("smoke_bin_offsets", 4 * bins.offsets.len() as u64, BufferUsages::STORAGE),
+        buffer("smoke_bin_indices", 4 * entries, BufferUsages::STORAGE),
+    ]
 }
 
 /// A uniform buffer with a value that does not change.
@@ -209,33 +235,9 @@ pub(super) fn texture_3d(device: &RenderDevice, label: &str, dims: UVec3, format
     texture.create_view(&TextureViewDescriptor::default())
 }
 
-impl RenderAsset for GpuSmokeAnimation {
-    type SourceAsset = SmokeAnimation;
-    type Param = (SRes<RenderDevice>, SRes<RenderQueue>);
-
-    fn prepare_asset(
-        animation: SmokeAnimation,
-        id: AssetId<SmokeAnimation>,
-        (device, queue): &mut SystemParamItem<Self::Param>,
-        _previous: Option<&Self>,
-    ) -> Result<Self, PrepareAssetError<SmokeAnimation>> {
-        let shape = animation.shape;
-        let max_density = if animation.max_density > 0.0 { animation.max_density } else { 1.0 };
-        let mut frames = Vec::new();
-        let SmokeFrames::Memory(all) = &animation.frames;
-        match all.iter().try_for_each(|frame| fits(shape, frame, device)) {
-            Ok(()) => {
-                frames.extend(all.iter().map(|frame| GpuSmokeFrame::new(shape, frame, max_density, device, queue)))
-            }
-            Err(problem) => error!("smoke {id} is not drawn: {problem}"),
-        }
-        Ok(Self { shape, max_density, frames })
-    }
-}
-
-/// Whether the device can hold a frame; if not, why, and what to do.
-fn fits(shape: GridShape, frame: &SmokeFrame, device: &RenderDevice) -> Result<(), String> {
-    let limits = device.limits();
+/// Whether the device can hold a moment; if not, why, and what to do.
+pub(super) fn fits(moment: &Moment, rbfs: &[Rbf], device: &RenderDevice) -> Result<(), String> {
+    let (shape, limits) = (moment.shape(), device.limits());
     // The texture that is marched has a cell of padding on each side.
     let side = limits.max_texture_dimension_3d;
     if shape.longest() + 2 > side {
@@ -246,12 +248,11 @@ fn fits(shape: GridShape, frame: &SmokeFrame, device: &RenderDevice) -> Result<(
         ));
     }
     let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-    let (rbfs, residual) = (&frame.rbfs.rbfs, &frame.residual);
-    let probes = rbfs.len() as u64 * PROBE_BYTES;
+    let residual = |frame: &crate::bundle::SmokeFrame| GpuBakedFrame::residual_bytes(&frame.residual);
     let largest = [
-        ("probes", probes),
-        ("bins", 4 * RbfBins::entry_bound(rbfs, shape)),
-        ("residual", u64::from(residual.slots()).max(2 * residual.offsets().len() as u64)),
+        ("probes", u64::from(rbf_capacity(rbfs.len() as u32)) * PROBE_BYTES),
+        ("bins", 4 * entry_capacity(RbfBins::entry_bound(rbfs, shape))),
+        ("residual", residual(&moment.from).max(residual(&moment.to))),
     ];
     match largest.into_iter().find(|(_, needed)| *needed > bytes) {
         Some((what, needed)) => Err(format!(

@@ -7,7 +7,8 @@ use bevy::platform::collections::HashMap;
 use bevy::prelude::*;
 use bevy::render::render_resource::encase::internal::WriteInto;
 use bevy::render::render_resource::{
-    BindGroup, Buffer, BufferDescriptor, BufferId, BufferUsages, ShaderType, TextureView, UniformBuffer,
+    BindGroup, Buffer, BufferDescriptor, BufferId, BufferUsages, CommandEncoderDescriptor, ShaderType, TextureView,
+    UniformBuffer,
 };
 use bevy::render::renderer::RenderDevice;
 use bevy::render::view::RetainedViewEntity;
@@ -32,7 +33,9 @@ use crate::scattering::{ScatteringChoice, ScatteringSolver};
 
 /// A volume lit by an environment and lamps.
 pub(super) struct LitVolume {
-    pub frame: BufferId,
+    frame: BufferId,
+    /// The frame's, when it was lit.
+    frame_version: u32,
     /// Whether light that scatters more than once is drawn, and why.
     pub choice: ScatteringChoice,
     environment: BufferId,
@@ -65,6 +68,8 @@ struct Transport {
     pair_matrix: BindGroup,
     /// The extinction that the matrix was made with.
     matrix_sigma: Option<f32>,
+    /// The solutions, of which the first is where the next solve starts.
+    states: Buffer,
     steps: [Cached<StepUniform>; SWEEPS as usize + 1],
     #[cfg_attr(not(feature = "cli"), expect(dead_code, reason = "only tools read back what the solver did"))]
     control: Buffer,
@@ -73,11 +78,12 @@ struct Transport {
 
 /// The same by diffusion.
 struct Diffusion {
+    shape: GridShape,
     uniform: Cached<DiffusionUniform>,
     solution: Buffer,
     #[cfg_attr(not(feature = "cli"), expect(dead_code, reason = "only tools read back what the solver did"))]
     control: Buffer,
-    bind_groups: DiffusionJob,
+    bind_groups: Arc<diffusion::BindGroups>,
 }
 
 /// A lit volume as an eye sees it: its 3D texture.
@@ -145,7 +151,7 @@ pub(super) struct FrameLight<'a> {
 
 impl LitVolume {
     pub fn new(frame: &GpuSmokeFrame, light: &FrameLight, gpu: &Gpu) -> Self {
-        let buffer = |label, bytes| storage_buffer(gpu.device, label, u64::from(frame.rbf_count.max(1)) * bytes);
+        let buffer = |label, bytes| storage_buffer(gpu.device, label, u64::from(frame.rbf_capacity) * bytes);
         let buffers = LightBuffers {
             probes: buffer("smoke_probes", PROBE_BYTES),
             escapes: buffer("smoke_escapes", ESCAPE_BYTES),
@@ -173,6 +179,7 @@ impl LitVolume {
             paper,
             incident_light: incident_light::bind(&gpu.passes.incident_light, bindings, gpu.device, gpu.cache),
             frame: frame.uniform.id(),
+            frame_version: frame.version,
             choice: light.choice,
             environment: light.coefficients.id(),
             // Older than any environment: lit at the first look.
@@ -187,7 +194,7 @@ impl LitVolume {
         }
     }
 
-    /// Whether this is of another frame, or of coefficients that have been let go since.
+    /// Whether this is of the frame's buffers, and of coefficients that have not been let go since.
     pub fn is_of(&self, frame: &GpuSmokeFrame, light: &FrameLight) -> bool {
         let same = self.frame == frame.uniform.id() && self.environment == light.coefficients.id();
         #[cfg(feature = "reference")]
@@ -195,49 +202,42 @@ impl LitVolume {
         same
     }
 
-    /// Starts solving where the frame before has ended.
-    pub fn follow(
-        &mut self,
-        before: &Self,
-        frame: &GpuSmokeFrame,
-        shape: GridShape,
-        gpu: &Gpu,
-        #[cfg_attr(not(feature = "reference"), expect(unused_variables))] work: &mut SmokeWork,
-    ) {
-        // The cells of all frames of an animation are the same.
-        self.diffusion = before.diffusion.as_ref().map(|before| {
+    /// Starts solving where that of other buffers has ended.
+    pub fn follow(&mut self, before: &Self, frame: &GpuSmokeFrame, gpu: &Gpu) {
+        self.transport = before.transport.as_ref().map(|before| {
+            let transport = Transport::new(frame, &self.uniform, &self.light, gpu);
+            before.hand_on(&transport, gpu);
+            transport
+        });
+        // On the same cells the solution goes on as it is.
+        let same_cells = |before: &&Diffusion| before.shape == frame.shape;
+        self.diffusion = before.diffusion.as_ref().filter(same_cells).map(|before| {
             let (uniform, solution) = (before.uniform.value.clone(), before.solution.clone());
-            Diffusion::new(frame, shape, uniform, solution, &self.uniform, &self.light, gpu)
+            Diffusion::new(frame, uniform, solution, &self.uniform, &self.light, gpu)
         });
         #[cfg(feature = "reference")]
         if let (Some(paper), Some(before)) = (&self.paper, &before.paper) {
-            paper.follow(before, frame, gpu, work);
+            before.hand_on(paper, gpu);
         }
     }
 
-    pub fn update(
-        &mut self,
-        frame: &GpuSmokeFrame,
-        shape: GridShape,
-        light: FrameLight,
-        now: u32,
-        gpu: &Gpu,
-        work: &mut SmokeWork,
-    ) {
+    pub fn update(&mut self, frame: &GpuSmokeFrame, light: FrameLight, now: u32, gpu: &Gpu, work: &mut SmokeWork) {
         self.last_used = now;
         self.choice = light.choice;
         let (sigma, coefficients) = (light.uniform.sigma_mean, light.uniform.coefficients);
         #[cfg(feature = "reference")]
         let environment_from_bundle = light.uniform.environment_from_bundle;
+        let moved = self.frame_version != frame.version;
+        self.frame_version = frame.version;
         let mut changed =
-            self.uniform.set(light.uniform, gpu) | (self.environment_version != light.environment_version);
+            self.uniform.set(light.uniform, gpu) | moved | (self.environment_version != light.environment_version);
         #[cfg(feature = "reference")]
         if let (Some(paper), Some(settings)) = (&mut self.paper, light.paper) {
             changed |= paper.set(settings, light.choice.multiple, environment_from_bundle, gpu);
             if changed {
                 self.environment_version = light.environment_version;
                 self.version += 1;
-                paper.light(work);
+                paper.light(frame, work);
             }
             return;
         }
@@ -249,7 +249,7 @@ impl LitVolume {
             for (step, value) in transport.steps.iter_mut().zip(StepUniform::all(light.tolerance)) {
                 changed |= step.set(value, gpu);
             }
-            if transport.matrix_sigma != Some(sigma) {
+            if moved || transport.matrix_sigma != Some(sigma) {
                 transport.matrix_sigma = Some(sigma);
                 changed = true;
                 let bind_group = transport.pair_matrix.clone();
@@ -257,11 +257,11 @@ impl LitVolume {
             }
         }
         if light.choice.multiple && light.solver == ScatteringSolver::Diffusion {
-            let uniform = DiffusionUniform::new(shape, light.tolerance);
+            let uniform = DiffusionUniform::new(frame.shape, light.tolerance);
             changed |= self.diffusion.is_none();
             let diffusion = self.diffusion.get_or_insert_with(|| {
-                let solution = diffusion::solution_buffer(shape, gpu.device);
-                Diffusion::new(frame, shape, uniform.clone(), solution, &self.uniform, &self.light, gpu)
+                let solution = diffusion::solution_buffer(frame.shape, gpu.device);
+                Diffusion::new(frame, uniform.clone(), solution, &self.uniform, &self.light, gpu)
             });
             changed |= diffusion.uniform.set(uniform, gpu);
         } else {
@@ -274,10 +274,12 @@ impl LitVolume {
             work.incident_light.push(Job { bind_group: self.incident_light.clone(), workgroups });
             if let Some(transport) = &self.transport {
                 let bind_groups = transport.bind_groups.clone();
-                work.scattering.push(ScatteringJob { bind_groups, rbf_count: frame.rbf_count, coefficients });
+                let (rbf_count, rbf_capacity) = (frame.rbf_count, frame.rbf_capacity);
+                work.scattering.push(ScatteringJob { bind_groups, rbf_count, rbf_capacity, coefficients });
             }
             if let Some(diffusion) = &self.diffusion {
-                work.diffusion.push(diffusion.bind_groups.clone());
+                let bind_groups = diffusion.bind_groups.clone();
+                work.diffusion.push(DiffusionJob { bind_groups, rbf_count: frame.rbf_count });
             }
         }
     }
@@ -288,7 +290,6 @@ impl LitVolume {
         view: Option<RetainedViewEntity>,
         eye: Vec4,
         frame: &GpuSmokeFrame,
-        shape: GridShape,
         now: u32,
         gpu: &Gpu,
         work: &mut SmokeWork,
@@ -296,7 +297,7 @@ impl LitVolume {
         let lit = &*self;
         let version = lit.version;
         if !lit.sliced.contains_key(&view) {
-            let sliced = SlicedVolume::new(eye, frame, shape, lit, gpu);
+            let sliced = SlicedVolume::new(eye, frame, lit, gpu);
             self.sliced.insert(view, sliced);
         }
         let sliced = self.sliced.get_mut(&view).expect("just inserted where it was missing");
@@ -306,13 +307,13 @@ impl LitVolume {
             sliced.lit_version = version;
             #[cfg(feature = "reference")]
             if let Some(paper) = &sliced.paper {
-                paper.look(frame, shape, work);
+                paper.look(frame, work);
                 return sliced;
             }
             let bind_group = sliced.outgoing.clone();
             work.outgoing.push(Job { bind_group, workgroups: outgoing::workgroups(frame) });
             let bind_group = sliced.volume.clone();
-            work.volume.push(Job { bind_group, workgroups: volume::workgroups(shape) });
+            work.volume.push(Job { bind_group, workgroups: volume::workgroups(frame.shape) });
         }
         sliced
     }
@@ -327,7 +328,7 @@ impl LitVolume {
 
 impl Transport {
     fn new(frame: &GpuSmokeFrame, lighting: &Cached<LightingUniform>, light: &LightBuffers, gpu: &Gpu) -> Self {
-        let count = u64::from(frame.rbf_count.max(1));
+        let count = u64::from(frame.rbf_capacity);
         let buffer = |label, bytes| storage_buffer(gpu.device, label, bytes);
         let matrix = buffer("smoke_pair_matrix", 4 * count * count);
         let sources = buffer("smoke_scattering_sources", count * SOURCE_BYTES);
@@ -363,15 +364,22 @@ impl Transport {
             matrix_sigma: None,
             bind_groups: Arc::new(gpu.passes.scattering.bind(&bindings, gpu.device, gpu.cache)),
             steps,
+            states,
             control,
         }
+    }
+
+    /// Lets another start solving where this has ended; RBFs are known by their place in the list.
+    fn hand_on(&self, next: &Self, gpu: &Gpu) {
+        // The first of the solutions comes first.
+        let solution = |buffer: &Buffer| buffer.size() / (u64::from(SWEEPS) + 1);
+        copy_start(&self.states, &next.states, solution(&self.states).min(solution(&next.states)), gpu);
     }
 }
 
 impl Diffusion {
     fn new(
         frame: &GpuSmokeFrame,
-        shape: GridShape,
         uniform: DiffusionUniform,
         solution: Buffer,
         lighting: &Cached<LightingUniform>,
@@ -390,17 +398,17 @@ impl Diffusion {
             solution: &solution,
             control: &control,
         };
-        let bind_groups = Arc::new(bindings.bind(shape, &gpu.passes.diffusion, gpu.device, gpu.cache));
-        Self { bind_groups, uniform, solution, control }
+        let bind_groups = Arc::new(bindings.bind(frame.shape, &gpu.passes.diffusion, gpu.device, gpu.cache));
+        Self { shape: frame.shape, bind_groups, uniform, solution, control }
     }
 }
 
 impl SlicedVolume {
-    fn new(eye: Vec4, frame: &GpuSmokeFrame, shape: GridShape, lit: &LitVolume, gpu: &Gpu) -> Self {
-        let buffer = |label, bytes| storage_buffer(gpu.device, label, u64::from(frame.rbf_count.max(1)) * bytes);
+    fn new(eye: Vec4, frame: &GpuSmokeFrame, lit: &LitVolume, gpu: &Gpu) -> Self {
+        let buffer = |label, bytes| storage_buffer(gpu.device, label, u64::from(frame.rbf_capacity) * bytes);
         let outgoing = buffer("smoke_outgoing", OUTGOING_BYTES);
         let shades = buffer("smoke_shades", SHADE_BYTES);
-        let texture = texture_3d(gpu.device, "smoke_volume", shape.dims + 2, FILTERED_FORMAT);
+        let texture = texture_3d(gpu.device, "smoke_volume", frame.shape.dims + 2, FILTERED_FORMAT);
         let look = Cached::new(LookUniform { eye }, gpu);
         let leave = outgoing::Bindings {
             frame,
@@ -451,8 +459,15 @@ impl SlicedVolume {
     }
 }
 
+/// Copies the first bytes of a buffer to another, before this frame's passes.
+pub(super) fn copy_start(from: &Buffer, to: &Buffer, bytes: u64, gpu: &Gpu) {
+    let mut encoder = gpu.device.create_command_encoder(&CommandEncoderDescriptor { label: Some("smoke_hand_on") });
+    encoder.copy_buffer_to_buffer(from, 0, to, 0, bytes);
+    gpu.queue.submit([encoder.finish()]);
+}
+
 /// A buffer of zeros that passes write and tools can read back.
 pub(super) fn storage_buffer(device: &RenderDevice, label: &str, size: u64) -> Buffer {
-    let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
+    let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
     device.create_buffer(&BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
 }

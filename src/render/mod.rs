@@ -3,9 +3,9 @@
 //! | pass | reads | writes | once per |
 //! |---|---|---|---|
 //! | `environment` | a radiance image | 16 SH coefficients | environment |
-//! | `density` | RBFs, bins, hashed residual | density of every cell | frame of smoke |
-//! | `coarse` | density | density of a 64³ grid | frame of smoke |
-//! | `pair_matrix` | RBFs, coarse density | how much each RBF sees of each other | frame of smoke and extinction |
+//! | `density` | RBFs, bins, two hashed residuals | density of every cell | moment of smoke |
+//! | `coarse` | density | density of a 64³ grid | moment of smoke |
+//! | `pair_matrix` | RBFs, coarse density | how much each RBF sees of each other | volume, moment of smoke and extinction |
 //! | `incident_light` | coefficients, lamps, RBFs, coarse density | SH light and columns to the lamps at 7 probes an RBF | volume and light |
 //! | `scattering` | pair matrix, light at the probes | SH light that each RBF sees of the others | the same |
 //! | `diffusion` | light at the probes, coarse density | SH light at the probes, added; in the place of `pair_matrix` and `scattering` | the same |
@@ -17,9 +17,14 @@
 //! something they read has changed: a static scene dispatches none of them. The view pass runs in `Core3d` after the opaque
 //! pass and before the transparent one. Each is a GPU span of its own; games can order against [`SmokeSystems`].
 //!
+//! A moment is a blend of two baked frames. On the GPU there are those moments that volumes show, each in buffers and textures
+//! of its own that are rewritten as time goes on, and the residuals of the baked frames that they blend: memory does not
+//! grow with the length of animations ([`SmokeRenderStats::memory`]). Solvers go on from one moment to the next.
+//!
 //! Radiance is linear in the light, so everything before the view pass works on the environment's own values; intensity
 //! and the camera's exposure are applied as the view is drawn, and change at no cost.
 
+mod baked;
 mod coarse;
 mod density;
 mod diffusion;
@@ -32,6 +37,7 @@ mod lamp;
 mod light;
 mod lighting;
 mod lit;
+mod moments;
 mod outgoing;
 mod pair_matrix;
 #[cfg(feature = "reference")]
@@ -48,7 +54,6 @@ mod volume;
 use bevy::core_pipeline::core_3d::{main_opaque_pass_3d, main_transparent_pass_3d, prepare_core_3d_depth_textures};
 use bevy::core_pipeline::schedule::{Core3d, Core3dSystems, camera_driver};
 use bevy::prelude::*;
-use bevy::render::render_asset::RenderAssetPlugin;
 use bevy::render::render_resource::{DownlevelFlags, PipelineCache, SpecializedRenderPipelines};
 use bevy::render::renderer::{RenderAdapter, RenderDevice, RenderGraph, RenderGraphSystems};
 use bevy::render::sync_world::SyncToRenderWorld;
@@ -56,13 +61,12 @@ use bevy::render::{ExtractSchedule, GpuResourceAppExt, Render, RenderApp, Render
 
 use self::diffusion::{DiffusionJob, DiffusionPass};
 use self::environment::{EnvironmentJob, EnvironmentPass};
-pub use self::frame::GpuSmokeAnimation;
 #[cfg(feature = "cli")]
 pub(crate) use self::incident_light::PROBES;
 use self::pass::{ComputePass, Job};
 pub use self::scattering::SolverReport;
 use self::scattering::{ScatteringJob, ScatteringPass};
-pub use self::stats::SmokeRenderStats;
+pub use self::stats::{SmokeMemory, SmokeRenderStats};
 use crate::shaders::{self, Shaders};
 use crate::sun::{EnvironmentSuns, find_suns};
 use crate::volume::SmokeVolume;
@@ -88,8 +92,7 @@ impl Plugin for SmokeRenderPlugin {
         }
         shaders::embed(app);
         let stats = SmokeRenderStats::default();
-        app.add_plugins(RenderAssetPlugin::<GpuSmokeAnimation>::default())
-            .insert_resource(stats.clone())
+        app.insert_resource(stats.clone())
             .init_resource::<EnvironmentSuns>()
             .add_systems(PostUpdate, find_suns)
             .register_required_components::<SmokeVolume, SyncToRenderWorld>();

@@ -5,8 +5,9 @@
 //! | state | one per | changes with |
 //! |---|---|---|
 //! | [`Environments`] | environment | its image or coefficients |
-//! | [`GpuSmokeFrame`](super::frame::GpuSmokeFrame) | frame of smoke | the asset |
-//! | [`LitVolume`] | volume × environment | the two above, the medium, the volume's rotation and scale, lamps |
+//! | [`GpuBakedFrame`](super::baked::GpuBakedFrame) | baked frame that a moment blends | nothing |
+//! | [`GpuSmokeFrame`](super::frame::GpuSmokeFrame) | moment that volumes show | time, in place |
+//! | [`LitVolume`] | volume × environment | environment and moment, the medium, the volume's rotation and scale, lamps |
 //! | [`SlicedVolume`](super::lit::SlicedVolume) | lit volume, × view where the phase function is not isotropic | the lit volume; the eye in bundle space |
 
 use bevy::math::{Affine3A, Vec3A};
@@ -22,15 +23,16 @@ use bevy::render::view::{ExtractedView, RenderVisibleEntities};
 
 use super::extract::{ExtractedSmoke, ExtractedVolume};
 use super::footprint::Footprints;
-use super::frame::{GpuSmokeAnimation, GpuSmokeFrame};
+use super::frame::GpuSmokeFrame;
 use super::lamp::lamps_of;
 use super::light::{Environments, Light, LightKey, Lit};
 use super::lighting::{LampUniform, LightingUniform, MAX_LAMPS};
 use super::lit::{FrameLight, LitVolume};
+use super::moments::Moments;
 #[cfg(feature = "reference")]
 use super::paper;
 use super::view::{Emission, Glow, SmokeUniform, ViewPass, ViewSmoke, ViewSmokeVolume};
-use super::{SmokePasses, SmokeRenderStats, SmokeWork, coarse, density};
+use super::{SmokePasses, SmokeRenderStats, SmokeWork};
 use crate::density::GridShape;
 use crate::scattering::{ScatteringChoice, ScatteringEvents, ScatteringSolver};
 use crate::volume::SmokeVolume;
@@ -43,6 +45,7 @@ const KEEP_FRAMES: u32 = 300;
 pub(super) struct SmokeCache {
     frame: u32,
     environments: Environments,
+    moments: Moments,
     volumes: HashMap<(MainEntity, LightKey), LitVolume>,
     shared: Option<Shared>,
 }
@@ -99,7 +102,6 @@ pub(super) fn prepare_smoke(
     mut work: ResMut<SmokeWork>,
     mut smoke_cache: ResMut<SmokeCache>,
     smoke: Res<ExtractedSmoke>,
-    animations: Res<RenderAssets<GpuSmokeAnimation>>,
     images: Res<RenderAssets<GpuImage>>,
     views: Query<(Entity, &ExtractedView, &ExtractedCamera, &RenderVisibleEntities), With<Camera3d>>,
     device: Res<RenderDevice>,
@@ -110,9 +112,10 @@ pub(super) fn prepare_smoke(
 ) {
     work.clear();
     let ready = passes.are_ready(&pipelines);
-    let SmokeCache { frame: now, environments, volumes, shared } = &mut *smoke_cache;
+    let SmokeCache { frame: now, environments, moments, volumes, shared } = &mut *smoke_cache;
     *now = now.wrapping_add(1);
     environments.begin(*now, changed_images.added.iter().chain(&changed_images.modified));
+    moments.begin(*now, &smoke);
     let shared = shared.get_or_insert_with(|| Shared {
         sampler: linear_sampler(&device),
         footprints: Footprints::buffer(&device, &queue),
@@ -138,13 +141,7 @@ pub(super) fn prepare_smoke(
             let Some(volume) = smoke.volumes.get(&volume_entity) else {
                 continue;
             };
-            let Some(animation) = animations.get(volume.animation) else {
-                continue;
-            };
-            let Some(frame) = animation.frames.get(volume.frame as usize).or(animation.frames.last()) else {
-                continue;
-            };
-            let Some(placed) = Placed::new(volume_entity, volume, animation) else {
+            let Some(placed) = Placed::new(volume_entity, volume) else {
                 continue;
             };
             let Some(light) = Light::of(volume_entity, volume, view, &smoke) else {
@@ -153,10 +150,9 @@ pub(super) fn prepare_smoke(
             let Some(lit) = environments.light(light, &images, &smoke.suns, &gpu, &mut work) else {
                 continue;
             };
-            if frame.take_unpacking() {
-                work.density.push(density::job(&passes.density, animation.shape, frame, &device, &pipelines));
-                work.coarse.push(coarse::job(&passes.coarse, animation.shape, frame, &device, &pipelines));
-            }
+            let Some(frame) = moments.show(volume_entity, &volume.moment, &gpu, &mut work) else {
+                continue;
+            };
 
             let key = (volume_entity, lit.key);
             let before = volumes.get(&key).map(|volume| volume.choice.multiple);
@@ -175,7 +171,7 @@ pub(super) fn prepare_smoke(
             let (uniform, unit) = placed.lighting(volume, &lit, &smoke, transport);
             #[cfg(feature = "reference")]
             let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
-            warn_of_limits(volume_entity, &uniform, frame.typical_depth);
+            warn_of_limits(volume_entity, &uniform, frame.typical_depth());
             let glows = Glow::all(&uniform, placed.shape.half_extent());
             let light = FrameLight {
                 coefficients: lit.coefficients,
@@ -192,19 +188,19 @@ pub(super) fn prepare_smoke(
                 .and_modify(|v| {
                     if !v.is_of(frame, &light) {
                         let mut next = LitVolume::new(frame, &light, &gpu);
-                        next.follow(v, frame, animation.shape, &gpu, &mut work);
+                        next.follow(v, frame, &gpu);
                         *v = next;
                     }
                 })
                 .or_insert_with(|| LitVolume::new(frame, &light, &gpu));
-            lit_volume.update(frame, animation.shape, light, *now, &gpu, &mut work);
+            lit_volume.update(frame, light, *now, &gpu, &mut work);
 
             let eye = placed.eye(view);
             // Isotropic smoke looks the same from everywhere: one texture serves all views.
             let isotropic = volume.medium.g == 0.0;
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
-            let sliced = lit_volume.slice(key, look, frame, animation.shape, *now, &gpu, &mut work);
+            let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
             let uniform = placed.smoke_uniform(view, eye, volume, unit * camera.exposure, glows);
             if let Some(uniform) = uniform {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
@@ -223,6 +219,8 @@ pub(super) fn prepare_smoke(
 
     let in_use = |last_used: u32| now.wrapping_sub(last_used) < KEEP_FRAMES;
     environments.retain(in_use);
+    moments.retain(in_use, |volume| smoke.volumes.contains_key(&volume));
+    stats.set_memory(moments.memory());
     stats.retain_scattering(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
     for volume in volumes.values_mut() {
@@ -245,7 +243,7 @@ struct Placed {
 
 impl Placed {
     /// None where the transform flattens the box or is not finite.
-    fn new(entity: MainEntity, volume: &ExtractedVolume, animation: &GpuSmokeAnimation) -> Option<Self> {
+    fn new(entity: MainEntity, volume: &ExtractedVolume) -> Option<Self> {
         let world_from_bundle = volume.world_from_bundle;
         if !world_from_bundle.is_finite() {
             warn_once!("the transform of smoke volume {entity:?} is not finite: it is not drawn (said once)");
@@ -253,7 +251,8 @@ impl Placed {
         }
         let scale = world_from_bundle.matrix3.determinant().abs().cbrt();
         let usable = scale > 0.0 && world_from_bundle.inverse().is_finite();
-        usable.then_some(Self { world_from_bundle, shape: animation.shape, scale, max_density: animation.max_density })
+        let (shape, max_density) = (volume.moment.shape(), volume.moment.density_scale());
+        usable.then_some(Self { world_from_bundle, shape, scale, max_density })
     }
 
     /// The medium and the light, and the radiance (cd/m²) that 1 in the passes' buffers and textures stands for.
@@ -326,9 +325,9 @@ impl Placed {
         let mut events = volume.scattering.events;
         let limits = device.limits();
         let largest = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        let pairs = 4 * u64::from(frame.rbf_count).pow(2);
+        let pairs = 4 * u64::from(frame.rbf_capacity).pow(2);
         #[cfg(feature = "reference")]
-        let pairs = if volume.paper.is_some() { paper::PaperLight::matrix_bytes(frame.rbf_count) } else { pairs };
+        let pairs = if volume.paper.is_some() { paper::PaperLight::matrix_bytes(frame.rbf_capacity) } else { pairs };
         if events != ScatteringEvents::Single && pairs > largest {
             warn_once!(
                 "a frame of smoke has {} RBFs, whose pairs do not fit this adapter's buffers of {largest} bytes: its \

@@ -1,8 +1,9 @@
 //! Scattering pass: light at the probes + pair matrix → what every RBF sees of the others' scattered light. Runs when
 //! the light at the probes changed, where light scatters more than once.
 //!
-//! The transport equation between RBFs, J = S + Ω'g'^l (1 − τ̄) K̂ J, is solved by sweeps from the solution of the frame
-//! before. After every [`SWEEPS`] of them their best combination is taken (reduced-rank extrapolation, the same as
+//! The transport equation between RBFs, J = S + Ω'g'^l (1 − τ̄) K̂ J, is solved by sweeps from the solution
+//! before, of the same light or another, of this moment or the one before: RBFs are known by their place in the list, and
+//! new ones start black. After every [`SWEEPS`] of them their best combination is taken (reduced-rank extrapolation, the same as
 //! GMRES on so many steps) and its error estimated; what is left is skipped on the GPU once that is below the
 //! tolerance. A last sweep from there leaves no light negative that was not before. No step waits for the CPU.
 
@@ -173,17 +174,18 @@ impl ScatteringPass {
         }
     }
 
-    /// One solve, in order; `coefficients` is 1 for isotropic smoke, 16 otherwise.
-    pub fn jobs(&self, groups: &BindGroups, rbf_count: u32, coefficients: u32) -> Vec<(&ComputePass, Job)> {
+    /// One solve, in order.
+    pub fn jobs(&self, solve: &ScatteringJob) -> Vec<(&ComputePass, Job)> {
+        let ScatteringJob { bind_groups: groups, rbf_count, rbf_capacity, coefficients } = solve;
         let job = |bind_group: &BindGroup, x| Job { bind_group: bind_group.clone(), workgroups: UVec3::new(x, 1, 1) };
-        let sweep = if coefficients == 1 { &self.sweep_isotropic } else { &self.sweep };
+        let sweep = if *coefficients == 1 { &self.sweep_isotropic } else { &self.sweep };
         let (last, cycle) = groups.sweeps.split_last().expect("there is a last sweep");
-        let mut jobs = vec![(&self.start, job(&groups.start, (rbf_count * coefficients).div_ceil(64)))];
+        let mut jobs = vec![(&self.start, job(&groups.start, (rbf_capacity * coefficients).div_ceil(64)))];
         for _ in 0..CYCLES {
-            jobs.extend(cycle.iter().map(|group| (sweep, job(group, rbf_count))));
+            jobs.extend(cycle.iter().map(|group| (sweep, job(group, *rbf_count))));
             jobs.push((&self.extrapolate, job(&groups.extrapolate, 1)));
         }
-        jobs.push((sweep, job(last, rbf_count)));
+        jobs.push((sweep, job(last, *rbf_count)));
         jobs
     }
 }
@@ -216,6 +218,9 @@ pub(super) struct BindGroups {
 pub(super) struct ScatteringJob {
     pub bind_groups: std::sync::Arc<BindGroups>,
     pub rbf_count: u32,
+    /// RBFs that the list of solutions has room for.
+    pub rbf_capacity: u32,
+    /// 1 for isotropic smoke, 16 otherwise.
     pub coefficients: u32,
 }
 
@@ -228,8 +233,7 @@ pub(super) fn scattering(
     mut ctx: RenderContext,
 ) {
     let pass = &passes.scattering;
-    let jobs: Vec<_> =
-        work.scattering.iter().flat_map(|job| pass.jobs(&job.bind_groups, job.rbf_count, job.coefficients)).collect();
+    let jobs: Vec<_> = work.scattering.iter().flat_map(|job| pass.jobs(job)).collect();
     let jobs: Vec<_> = jobs.iter().map(|(pass, job)| (*pass, job)).collect();
     ComputePass::run_all(LABEL, &jobs, &cache, &DispatchCounter::default(), &mut ctx);
     // How many of a solve's dispatches find work is for the GPU to know: a solve counts as one.

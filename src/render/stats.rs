@@ -29,7 +29,20 @@ pub struct SmokeRenderStats {
     #[cfg(feature = "reference")]
     pub(crate) paper: DispatchCounter,
     pub(crate) view: DispatchCounter,
+    memory: Arc<Mutex<SmokeMemory>>,
     scattering_choices: Arc<Mutex<EntityHashMap<ScatteringChoice>>>,
+}
+
+/// The moments of smoke on the GPU, which volumes that show the same one share, and the residuals of the baked frames that
+/// they blend. What lights a volume comes on top.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SmokeMemory {
+    /// Moments there are now; those that nobody sees are let go after some seconds.
+    pub moments: u32,
+    /// Moments made since the app started, each with textures of its own; those that are rewritten do not count.
+    pub moments_created: u32,
+    /// Bytes of their buffers and textures, and of the residuals.
+    pub bytes: u64,
 }
 
 impl SmokeRenderStats {
@@ -48,6 +61,17 @@ impl SmokeRenderStats {
         super::paper::LABEL,
         super::view::LABEL,
     ];
+
+    /// What the moments of smoke take on the GPU.
+    pub fn memory(&self) -> SmokeMemory {
+        self.memory.lock().map_or(SmokeMemory::default(), |memory| *memory)
+    }
+
+    pub(super) fn set_memory(&self, memory: SmokeMemory) {
+        if let Ok(mut current) = self.memory.lock() {
+            *current = memory;
+        }
+    }
 
     /// Whether light that scatters more than once is drawn in a volume, and why; None before it is first seen.
     pub fn scattering(&self, volume: Entity) -> Option<ScatteringChoice> {

@@ -117,7 +117,7 @@ fn extrapolate(@builtin(local_invocation_index) thread: u32) {
     if control.done != 0u {
         return;
     }
-    let slot = frame.rbf_count * SH_COEFFICIENTS;
+    let slot = frame.rbf_capacity * SH_COEFFICIENTS;
     let used = frame.rbf_count * lighting.coefficients;
     var sums: array<vec3<f32>, SUMS>;
     for (var at = thread; at < used; at += THREADS) {

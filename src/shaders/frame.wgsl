@@ -1,4 +1,4 @@
-// What every pass knows of one frame of smoke: its grid, its RBFs' bins and its residual's tables.
+// What every pass knows of one moment of smoke: its grid and its RBFs' bins.
 // Filled by `GpuSmokeFrame` (render/frame.rs).
 #define_import_path bevy_smoke::frame
 
@@ -14,14 +14,12 @@ struct Frame {
     coarse_dims: vec3<u32>,
     // Side of a coarse cell, in fine cells.
     coarse_ratio: f32,
-    // Quantisation law: R = sign(q) max (|q| / 127)^exponent.
-    residual_max: f32,
-    residual_exponent: f32,
-    // Side of the offset table and length of the hash table.
-    offset_side: u32,
-    table_len: u32,
     // Multiplies the density where it is stored in half precision, so that it is at most about 1 there.
     density_scale: f32,
+    // The share of the second of two residuals that are blended.
+    blend: f32,
+    // RBFs that buffers have room for.
+    rbf_capacity: u32,
 }
 
 // The largest number that half precision holds.

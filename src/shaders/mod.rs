@@ -31,7 +31,6 @@ pub(crate) fn embed(app: &mut App) {
         load_shader_library!(app, "paper.wgsl");
         embedded_asset!(app, "paper_single.wgsl");
         embedded_asset!(app, "paper_system.wgsl");
-        embedded_asset!(app, "paper_carry.wgsl");
         embedded_asset!(app, "paper_solve.wgsl");
         embedded_asset!(app, "paper_media.wgsl");
         embedded_asset!(app, "paper_outgoing.wgsl");
@@ -64,7 +63,6 @@ pub(crate) struct Shaders {
 pub(crate) struct PaperShaders {
     pub single: Handle<Shader>,
     pub system: Handle<Shader>,
-    pub carry: Handle<Shader>,
     pub solve: Handle<Shader>,
     pub media: Handle<Shader>,
     pub outgoing: Handle<Shader>,
@@ -92,7 +90,6 @@ impl Shaders {
             paper: PaperShaders {
                 single: load_embedded_asset!(assets, "paper_single.wgsl"),
                 system: load_embedded_asset!(assets, "paper_system.wgsl"),
-                carry: load_embedded_asset!(assets, "paper_carry.wgsl"),
                 solve: load_embedded_asset!(assets, "paper_solve.wgsl"),
                 media: load_embedded_asset!(assets, "paper_media.wgsl"),
                 outgoing: load_embedded_asset!(assets, "paper_outgoing.wgsl"),
@@ -179,7 +176,6 @@ mod tests {
         validate("volume.wgsl", include_str!("volume.wgsl"), &[]);
         validate("paper_single.wgsl", include_str!("paper_single.wgsl"), &[]);
         validate("paper_system.wgsl", include_str!("paper_system.wgsl"), &[]);
-        validate("paper_carry.wgsl", include_str!("paper_carry.wgsl"), &[]);
         validate("paper_solve.wgsl", include_str!("paper_solve.wgsl"), &[]);
         validate("paper_media.wgsl", include_str!("paper_media.wgsl"), &[]);
         validate("paper_outgoing.wgsl", include_str!("paper_outgoing.wgsl"), &[]);

@@ -8,6 +8,8 @@ const UNIT: f32 = 3.5449077018;
 const LINEAR: f32 = 0.4886025119;
 // An RBF ends at three radii, u^2 = 9.
 const SUPPORT_SQUARED: f32 = 9.0;
+// Where the RBFs' density is below this there is no smoke.
+const SMALLEST_DENSITY: f32 = 1e-10;
 
 struct Paper {
     // From the environment's coefficients to those in the volume's axes: four vectors a row.

@@ -4,7 +4,7 @@
 #import bevy_smoke::frame::{Frame, Rbf}
 #import bevy_smoke::sh::SH_COEFFICIENTS
 #import bevy_smoke::lighting::Lighting
-#import bevy_smoke::paper::{jet, LINEAR, UNIT}
+#import bevy_smoke::paper::{jet, LINEAR, SMALLEST_DENSITY, UNIT}
 
 const THREADS: u32 = 64u;
 
@@ -55,7 +55,7 @@ fn scatter(
         sums.dz += partial[i].dz;
     }
     // The gradient of Eq. 12.
-    let density = sums.density.w;
+    let density = max(sums.density.w, SMALLEST_DENSITY);
     let slope = sums.density.xyz / density;
     let mean = sums.value / density;
     let dx = sums.dx / density - slope.x * mean;

@@ -1,5 +1,5 @@
 // Conjugate gradients on A^T A x = A^T b (Zhou et al. 2008, section 5.4), three colour channels in lock-step, from what x
-// is. `residual`, `transpose` and `begin` start it; `multiply`, `transpose` and `advance` are a step.
+// is. `start`, `residual`, `transpose` and `begin` start it; `multiply`, `transpose` and `advance` are a step.
 #import bevy_smoke::frame::Frame
 
 const THREADS: u32 = 64u;
@@ -39,6 +39,16 @@ fn add_up(value: vec3<f32>, thread: u32, threads: u32) -> vec3<f32> {
         workgroupBarrier();
     }
     return partial[0];
+}
+
+// RBFs start from what those at their places in the list ended with; new ones at 0, as will those that come where others
+// go. What is not a number must not outlive its moment.
+@compute @workgroup_size(THREADS)
+fn start(@builtin(global_invocation_id) id: vec3<u32>) {
+    if id.x < frame.rbf_capacity {
+        let before = solution[id.x];
+        solution[id.x] = select(vec4(0.0), before, (abs(before) < vec4(1e30)) & vec4(id.x < frame.rbf_count));
+    }
 }
 
 // y = b - A x, one workgroup a row.

@@ -3,7 +3,7 @@
 #import bevy_smoke::frame::{Frame, Rbf}
 #import bevy_smoke::sh::SH_COEFFICIENTS
 #import bevy_smoke::lighting::Lighting
-#import bevy_smoke::paper::{Jet, jet, LINEAR, UNIT}
+#import bevy_smoke::paper::{Jet, jet, LINEAR, SMALLEST_DENSITY, UNIT}
 
 const THREADS: u32 = 64u;
 
@@ -44,14 +44,14 @@ fn assemble(
         laplacian += laplacians[i];
     }
     workgroupBarrier();
-    // A row's own RBF is there: the density is above zero.
-    let density = sum.w;
+    // A row's own RBF is there, but may be fading.
+    let density = max(sum.w, SMALLEST_DENSITY);
     let gradient = sum.xyz / density;
     laplacian /= density;
 
     let sigma = lighting.sigma_mean * frame.density_scale;
     let albedo = lighting.scatter[0].rgb;
-    let scatters = albedo > vec3(0.0);
+    let scatters = (albedo > vec3(0.0)) & vec3(sum.w >= SMALLEST_DENSITY);
     let transport = (1.0 - albedo * lighting.g) * sigma;
     let absorption = (1.0 - albedo) * sigma;
     var right = vec3(0.0);
@@ -62,7 +62,7 @@ fn assemble(
         let diffusion = b.laplacian / density - 3.0 * dot(gradient, slope)
             + (3.0 * dot(gradient, gradient) - laplacian) * value;
         let entry = diffusion / (3.0 * transport * density) - absorption * b.value;
-        // A channel that scatters nothing has no equation.
+        // A channel that scatters nothing has no equation, nor has a place without smoke.
         let kept = select(vec3(0.0), entry, scatters);
         let at = 3u * (row * count + h);
         matrix[at] = kept.r;

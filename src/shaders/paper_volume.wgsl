@@ -2,9 +2,7 @@
 //     J_D = D / D_model sum_l w_l B_l J_l,   D_model = sum_l w_l B_l,
 // and beside it the density D = D_model + R. Where there is no RBF the residual is left out, and with it the smoke.
 #import bevy_smoke::frame::{Frame, Rbf, MAX_HALF, bin_index, cell_center}
-#import bevy_smoke::paper::jet
-
-const SMALLEST_DENSITY: f32 = 1e-10;
+#import bevy_smoke::paper::{jet, SMALLEST_DENSITY}
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> rbfs: array<Rbf>;

@@ -6,7 +6,7 @@
 // The RBFs around tell roughly in which directions smoke is seen, H_k; the probes' transmittance T_k tells exactly. The
 // difference, times the mean radiance seen G_0, is light too:
 //     C_k = (-T_k - (1 - T_0 / sqrt(4 pi)) H_k) / sqrt(4 pi),   k >= 1.
-// Also readies the solution of the frame before to start from.
+// Also readies the solution before to start from: RBFs are known by their place in the list.
 #import bevy_smoke::frame::{Frame, Rbf}
 #import bevy_smoke::sh::{basis, band, SH_COEFFICIENTS}
 #import bevy_smoke::lighting::{Lamp, Lighting, arriving_from, probe_position, probe_reach, MAX_LAMPS, PI, PROBES}
@@ -60,6 +60,10 @@ fn start(@builtin(global_invocation_id) id: vec3<u32>) {
         control = Control();
     }
     if l >= frame.rbf_count {
+        // Those that come later start from black, not from what was there before.
+        if l < frame.rbf_capacity {
+            states[id.x] = vec4(0.0);
+        }
         return;
     }
     let rbf = rbfs[l];
@@ -87,7 +91,7 @@ fn start(@builtin(global_invocation_id) id: vec3<u32>) {
     if k == 0u {
         sources[source + coefficients] = vec4(mean * escape, 0.0);
     }
-    // What is not a number must not outlive its frame.
+    // What is not a number must not outlive its moment.
     let before = states[id.x];
     states[id.x] = select(vec4(0.0), before, abs(before) < vec4(1e30));
 }

@@ -16,14 +16,15 @@
 @group(0) @binding(4) var<storage, read> rbfs: array<Rbf>;
 @group(0) @binding(5) var<storage, read> matrix: array<f32>;
 @group(0) @binding(6) var<storage, read> sources: array<vec4<f32>>;
-// Several solutions: source radiance of every RBF, `coefficients` each; a slot has room for 16.
+// Several solutions: source radiance of every RBF, `coefficients` each; a slot has room for 16,
+// for as many RBFs as there may be: where one's first solution is does not change with their number.
 @group(0) @binding(7) var<storage, read_write> states: array<vec4<f32>>;
 // What every RBF sees of the others.
 @group(0) @binding(8) var<storage, read_write> gathered: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> control: Control;
 
 fn slot(index: u32) -> u32 {
-    return index * frame.rbf_count * SH_COEFFICIENTS;
+    return index * frame.rbf_capacity * SH_COEFFICIENTS;
 }
 
 // Stores what follows from what is seen of the others: color for coefficient 0 and k, and their share in all that is seen.

@@ -16,6 +16,9 @@ mod lamps;
 #[allow(dead_code)]
 #[path = "../../examples/minimal.rs"]
 mod minimal;
+#[allow(dead_code)]
+#[path = "../../examples/playback.rs"]
+mod playback;
 
 /// The scene with its smoke, and without it.
 fn pictures<M>(
@@ -90,4 +93,35 @@ fn lamps_show_fire_and_beam() {
     let fire = mean_row(&|[r, _, b, _]| u32::from(*r) > 2 * u32::from(*b));
     let beam = mean_row(&|[r, _, b, _]| b > r);
     assert!(beam + 30 < fire, "the beam is at row {beam}, the fire at row {fire}");
+}
+
+#[test]
+fn playback_shows_smoke() {
+    let size = UVec2::new(256, 192);
+    let pictures = pictures("playback", size, playback::setup);
+    let (smoke, all) = (smoky(&pictures), pictures[0].len());
+    assert!((all / 20..all / 2).contains(&smoke), "{smoke} of {all} pixels show smoke");
+}
+
+/// The keys step through frames, turn playback around and change what happens at the end.
+#[test]
+fn playback_obeys_keys() {
+    let mut app = App::new();
+    app.init_resource::<ButtonInput<KeyCode>>().add_systems(Update, playback::control);
+    let volume = app.world_mut().spawn(SmokePlayback::default()).id();
+    let mut press = |key| {
+        let mut keys = app.world_mut().resource_mut::<ButtonInput<KeyCode>>();
+        keys.reset_all();
+        keys.press(key);
+        app.update();
+        app.world().get::<SmokePlayback>(volume).unwrap().clone()
+    };
+    assert!(press(KeyCode::Space).paused);
+    assert_eq!(press(KeyCode::ArrowRight).frame(), 1.0);
+    assert_eq!(press(KeyCode::ArrowRight).frame(), 2.0);
+    assert_eq!(press(KeyCode::ArrowLeft).frame(), 1.0);
+    assert_eq!(press(KeyCode::ArrowUp).speed, 2.0);
+    let slower = [1.0, 0.5, 0.25, 0.1, -0.1].map(|_| press(KeyCode::ArrowDown).speed);
+    assert_eq!(slower, [1.0, 0.5, 0.25, 0.1, -0.1]);
+    assert_eq!(press(KeyCode::KeyM).mode, PlaybackMode::PingPong);
 }

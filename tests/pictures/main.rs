@@ -5,6 +5,7 @@
 
 mod cameras;
 mod compositing;
+mod endurance;
 mod environments;
 mod examples;
 mod lamps;

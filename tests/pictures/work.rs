@@ -155,6 +155,7 @@ fn frames_are_unpacked_when_they_are_shown() {
     animation.frames = vec![first, frame].into();
     let both = world.resource_mut::<Assets<SmokeAnimation>>().add(animation);
     volumes.single_mut(world).unwrap().animation = both;
+    world.query::<&mut SmokePlayback>().single_mut(world).unwrap().paused = true;
     let first = draw(&mut app);
     let show = |frame| set::<SmokePlayback>(move |playback| *playback = SmokePlayback::at_frame(frame));
     assert_eq!(after(&mut app, show(1)), [0, 1, 1, 1, 1, 1, 1, 1]);

@@ -18,7 +18,7 @@ mod system;
 mod view;
 
 pub use depth::{ANGLES, DepthTable, beta};
-pub use multiple::{Multiple, carry_over, multiple};
+pub use multiple::{Multiple, multiple};
 pub use single::{source_radiance, transmittance};
 pub use solve::{Matrix, conjugate_gradients};
 pub use system::{Jet, Optics, System, jet, system};

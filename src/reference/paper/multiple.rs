@@ -21,8 +21,8 @@ pub struct Multiple {
 /// Solves Eq. 13 for every colour channel in `steps` steps of conjugate gradients from `start`, then evaluates Eq. 6
 /// and convolves with the phase function.
 ///
-/// `start` is L⁰_m at the centres: zeros, the solution under another light or medium, or one [`carry_over`]ed from
-/// another frame. A channel that scatters nothing has no source and stays black.
+/// `start` is L⁰_m at the centres: zeros, or the solution under another light or medium, or of the same RBFs a
+/// moment before. A channel that scatters nothing has no source and stays black.
 pub fn multiple(rbfs: &[Rbf], single: &[ShRgb], medium: &Medium, start: &[DVec3], steps: usize) -> Multiple {
     let mut media = vec![[Taylor::default(); 3]; rbfs.len()];
     for channel in (0..3).filter(|&channel| medium.albedo[channel] > 0.0) {
@@ -59,23 +59,6 @@ fn first_order(rbfs: &[Rbf], mean: &[f64], l: usize, source: DVec3, optics: Opti
         .sum();
     let kappa = 1.0 / (3.0 * optics.transport() * density.value);
     kappa * (optics.extinction * density.value * source - gradient)
-}
-
-/// A solution of one frame as the start of the next: Eq. 12 of the old RBFs at the centres of the new ones. Zero where
-/// there were none.
-pub fn carry_over(old: &[Rbf], solution: &[DVec3], new: &[Rbf]) -> Vec<DVec3> {
-    new.iter()
-        .map(|rbf| {
-            let x = rbf_center(rbf);
-            let (mut sum, mut density) = (DVec3::ZERO, 0.0);
-            for (old, &value) in old.iter().zip(solution) {
-                let weight = jet(old, x).value;
-                sum += weight * value;
-                density += weight;
-            }
-            if density > 0.0 { sum / density } else { DVec3::ZERO }
-        })
-        .collect()
 }
 
 #[cfg(test)]
@@ -138,15 +121,5 @@ mod tests {
         let near: Vec<DVec3> = converged.iter().map(|rgb| *rgb * 1.001).collect();
         assert!(error(solve(&near, 0)) < 0.01 * error(solve(&[DVec3::ZERO; 3], 0)));
         assert!(error(solve(&converged, 0)) == 0.0);
-    }
-
-    #[test]
-    fn solutions_are_carried_to_moved_centres() {
-        let old = rbfs();
-        let uniform = carry_over(&old, &[DVec3::new(1.0, 2.0, 3.0); 3], &old);
-        assert!(uniform.iter().all(|rgb| (*rgb - DVec3::new(1.0, 2.0, 3.0)).length() < 1e-14));
-        // Alone, an RBF carries its value as far as it reaches, and no further.
-        let moved = [0.0, 0.2, 0.3].map(|x| Rbf { center: [x, 0.0, 0.0], ..old[0] });
-        assert_eq!(carry_over(&old[..1], &[DVec3::ONE], &moved), [DVec3::ONE, DVec3::ONE, DVec3::ZERO]);
     }
 }

@@ -3,13 +3,12 @@
 use bevy::prelude::*;
 use bevy::render::render_resource::{BindGroup, Buffer, TextureView};
 
-use super::steps::{CarryBindings, LightBindGroups, LightBindings, LookBindings, Step};
+use super::steps::{LightBindGroups, LightBindings, LookBindings, Step};
 use super::tables::PaperUniform;
-use crate::density::GridShape;
 use crate::paper::SmokePaper;
 use crate::render::SmokeWork;
 use crate::render::frame::GpuSmokeFrame;
-use crate::render::lit::{Cached, storage_buffer};
+use crate::render::lit::{Cached, copy_start, storage_buffer};
 use crate::render::pass::Job;
 use crate::render::prepare::Gpu;
 use crate::render::volume;
@@ -20,15 +19,9 @@ pub(in crate::render) struct PaperLight {
     /// Whether light may scatter more than once.
     multiple: bool,
     uniform: Cached<PaperUniform>,
-    rbf_count: u32,
-    /// The frame's own, to carry its solution to the next.
-    frame: Buffer,
-    rbfs: Buffer,
     source: Buffer,
     solution: Buffer,
     bind_groups: LightBindGroups,
-    /// Whether anything has been solved.
-    is_solved: bool,
 }
 
 impl PaperLight {
@@ -40,7 +33,7 @@ impl PaperLight {
         environment: &Buffer,
         gpu: &Gpu,
     ) -> Self {
-        let count = u64::from(frame.rbf_count.max(1));
+        let count = u64::from(frame.rbf_capacity);
         let buffer = |label, bytes| storage_buffer(gpu.device, label, bytes);
         let source = buffer("smoke_paper_source", count * 16 * 16);
         let solution = buffer("smoke_paper_solution", count * 16);
@@ -52,7 +45,7 @@ impl PaperLight {
             tables: gpu.paper_tables,
             environment,
             source: &source,
-            matrix: &buffer("smoke_paper_matrix", Self::matrix_bytes(frame.rbf_count)),
+            matrix: &buffer("smoke_paper_matrix", Self::matrix_bytes(frame.rbf_capacity)),
             rhs: &buffer("smoke_paper_rhs", count * 16),
             solution: &solution,
             vectors: &buffer("smoke_paper_vectors", 4 * count * 16),
@@ -63,18 +56,14 @@ impl PaperLight {
             settings,
             multiple: false,
             uniform,
-            rbf_count: frame.rbf_count,
-            frame: frame.uniform.clone(),
-            rbfs: frame.rbfs.clone(),
             source,
             solution,
-            is_solved: false,
         }
     }
 
     /// Bytes of the matrix between so many RBFs.
     pub fn matrix_bytes(rbf_count: u32) -> u64 {
-        12 * u64::from(rbf_count.max(1)).pow(2)
+        12 * u64::from(rbf_count).pow(2)
     }
 
     /// Takes new settings; whether anything changed.
@@ -84,39 +73,29 @@ impl PaperLight {
         self.uniform.set(PaperUniform::new(environment_from_bundle, settings.exponential), gpu) | changed
     }
 
-    /// Starts where the frame before has ended.
-    pub fn follow(&self, before: &Self, frame: &GpuSmokeFrame, gpu: &Gpu, work: &mut SmokeWork) {
-        if before.is_solved {
-            let bindings = CarryBindings {
-                old_frame: &before.frame,
-                old_rbfs: &before.rbfs,
-                old_solution: &before.solution,
-                frame,
-                solution: &self.solution,
-            };
-            let bind_group = bindings.bind(&gpu.passes.paper, gpu.device, gpu.cache);
-            let workgroups = UVec3::new(self.rbf_count.div_ceil(64), 1, 1);
-            work.paper.push((Step::CarryOver, Job { bind_group, workgroups }));
-        }
+    /// Lets another start solving where this has ended; RBFs are known by their place in the list.
+    pub fn hand_on(&self, next: &Self, gpu: &Gpu) {
+        copy_start(&self.solution, &next.solution, self.solution.size().min(next.solution.size()), gpu);
     }
 
     /// Lights the volume, by light that scatters once or any number of times.
-    pub fn light(&mut self, work: &mut SmokeWork) {
+    pub fn light(&mut self, frame: &GpuSmokeFrame, work: &mut SmokeWork) {
         let steps = self.multiple.then_some(self.settings.steps);
-        work.paper.extend(jobs(&self.bind_groups, self.rbf_count, steps));
-        self.is_solved |= self.multiple;
+        work.paper.extend(jobs(&self.bind_groups, frame, steps));
     }
 }
 
 /// The steps of light that scatters once, or any number of times with `steps` steps of the solver.
-pub(in crate::render) fn jobs(groups: &LightBindGroups, rbf_count: u32, steps: Option<u32>) -> Vec<(Step, Job)> {
+pub(in crate::render) fn jobs(groups: &LightBindGroups, frame: &GpuSmokeFrame, steps: Option<u32>) -> Vec<(Step, Job)> {
     let all = |step, bind_group: &BindGroup| {
-        (step, Job { bind_group: bind_group.clone(), workgroups: UVec3::new(rbf_count, 1, 1) })
+        (step, Job { bind_group: bind_group.clone(), workgroups: UVec3::new(frame.rbf_count, 1, 1) })
     };
     let one = |step| (step, Job { bind_group: groups.solve.clone(), workgroups: UVec3::ONE });
     let mut jobs = vec![all(Step::Single, &groups.single)];
     if let Some(steps) = steps {
         jobs.push(all(Step::System, &groups.system));
+        let workgroups = UVec3::new(frame.rbf_capacity.div_ceil(64), 1, 1);
+        jobs.push((Step::Start, Job { bind_group: groups.solve.clone(), workgroups }));
         jobs.extend([all(Step::Residual, &groups.solve), all(Step::Transpose, &groups.solve), one(Step::Begin)]);
         for _ in 0..steps {
             jobs.extend([all(Step::Multiply, &groups.solve), all(Step::Transpose, &groups.solve), one(Step::Advance)]);
@@ -134,16 +113,16 @@ pub(in crate::render) struct PaperSlice {
 
 impl PaperSlice {
     pub fn new(frame: &GpuSmokeFrame, look: &Buffer, light: &PaperLight, volume: &TextureView, gpu: &Gpu) -> Self {
-        let outgoing = storage_buffer(gpu.device, "smoke_paper_outgoing", u64::from(frame.rbf_count.max(1)) * 16);
+        let outgoing = storage_buffer(gpu.device, "smoke_paper_outgoing", u64::from(frame.rbf_capacity) * 16);
         let bindings = LookBindings { frame, look, source: &light.source, outgoing: &outgoing, volume };
         let [outgoing, volume] = bindings.bind(&gpu.passes.paper, gpu.device, gpu.cache);
         Self { outgoing, volume }
     }
 
-    pub fn look(&self, frame: &GpuSmokeFrame, shape: GridShape, work: &mut SmokeWork) {
+    pub fn look(&self, frame: &GpuSmokeFrame, work: &mut SmokeWork) {
         let workgroups = UVec3::new(frame.rbf_count.div_ceil(64), 1, 1);
         work.paper.push((Step::Outgoing, Job { bind_group: self.outgoing.clone(), workgroups }));
-        let workgroups = volume::workgroups(shape);
+        let workgroups = volume::workgroups(frame.shape);
         work.paper.push((Step::Volume, Job { bind_group: self.volume.clone(), workgroups }));
     }
 }

@@ -5,7 +5,7 @@
 //! |---|---|---|---|
 //! | `single` | environment, RBFs | 16 SH coefficients of source radiance, an RBF | volume and light |
 //! | `system` | those | Eq. 13, n × n | the same |
-//! | `carry_over` | the frame before | where the solver starts | frame of smoke |
+//! | `start` | L⁰ as it was before, of the RBFs at the same places in the list | where the solver starts | the same |
 //! | `residual`, `transpose`, `begin`; `multiply`, `transpose`, `advance` a step | Eq. 13 | L⁰ at the RBFs | volume and light |
 //! | `media` | L⁰ | source radiance, added to the above | the same |
 //! | `outgoing` | source radiance | that toward the eye, an RBF | the same, × view if g ≠ 0 |
@@ -24,7 +24,7 @@ use bevy::render::sync_world::MainEntity;
 pub(super) use self::light::jobs;
 pub(super) use self::light::{PaperLight, PaperSlice};
 #[cfg(all(test, feature = "cli"))]
-pub(super) use self::steps::{CarryBindings, LightBindings, LookBindings};
+pub(super) use self::steps::{LightBindings, LookBindings};
 pub(crate) use self::steps::{PaperPasses, Step};
 #[cfg(all(test, feature = "cli"))]
 pub(super) use self::tables::PaperUniform;

@@ -22,7 +22,7 @@ use crate::shaders::PaperShaders;
 pub(crate) enum Step {
     Single,
     System,
-    CarryOver,
+    Start,
     Residual,
     Multiply,
     Transpose,
@@ -49,7 +49,6 @@ impl PaperPasses {
             BindGroupLayoutEntries::sequential(compute, (frame(), lighting(), paper, tables, read(), read(), write()));
         let system =
             BindGroupLayoutEntries::sequential(compute, (frame(), lighting(), read(), read(), write(), write()));
-        let carry = BindGroupLayoutEntries::sequential(compute, (frame(), read(), read(), frame(), read(), write()));
         let solve = BindGroupLayoutEntries::sequential(compute, (frame(), read(), read(), write(), write(), write()));
         let media = BindGroupLayoutEntries::sequential(compute, (frame(), lighting(), read(), read(), write()));
         let outgoing = BindGroupLayoutEntries::sequential(compute, (frame(), look, read(), read(), write()));
@@ -72,7 +71,7 @@ impl PaperPasses {
         Self([
             pass("smoke_paper_single", &single, &shaders.single, "single"),
             pass("smoke_paper_system", &system, &shaders.system, "assemble"),
-            pass("smoke_paper_carry_over", &carry, &shaders.carry, "carry_over"),
+            pass("smoke_paper_start", &solve, &shaders.solve, "start"),
             pass("smoke_paper_residual", &solve, &shaders.solve, "residual"),
             pass("smoke_paper_multiply", &solve, &shaders.solve, "multiply"),
             pass("smoke_paper_transpose", &solve, &shaders.solve, "transpose_multiply"),
@@ -141,29 +140,6 @@ impl LightBindings<'_> {
             solve: passes.of(Step::Multiply).bind(device, cache, solve),
             media: passes.of(Step::Media).bind(device, cache, media),
         }
-    }
-}
-
-/// From the RBFs and the solution of one frame to those of another.
-pub(in crate::render) struct CarryBindings<'a> {
-    pub old_frame: &'a Buffer,
-    pub old_rbfs: &'a Buffer,
-    pub old_solution: &'a Buffer,
-    pub frame: &'a GpuSmokeFrame,
-    pub solution: &'a Buffer,
-}
-
-impl CarryBindings<'_> {
-    pub fn bind(&self, passes: &PaperPasses, device: &RenderDevice, cache: &PipelineCache) -> BindGroup {
-        let bindings = (
-            self.old_frame.as_entire_binding(),
-            self.old_rbfs.as_entire_binding(),
-            self.old_solution.as_entire_binding(),
-            self.frame.uniform.as_entire_binding(),
-            self.frame.rbfs.as_entire_binding(),
-            self.solution.as_entire_binding(),
-        );
-        passes.of(Step::CarryOver).bind(device, cache, bindings)
     }
 }
 

@@ -10,7 +10,7 @@ fn coarse_matches_its_twin() {
     uploaded.density =
         gpu.texture_3d(shape.dims, TextureFormat::R32Float, |cell| twin.values[shape.index(cell)] as f32);
     let pass = &gpu.passes().coarse;
-    gpu.run(pass, coarse::job(pass, shape, &uploaded, gpu.device(), gpu.cache()));
+    gpu.run(pass, coarse::job(pass, &uploaded, gpu.device(), gpu.cache()));
 
     let expected = reference::coarse::coarse(&twin);
     assert_eq!(expected.shape, shape.coarse());

@@ -3,7 +3,7 @@ use bevy::color::LinearRgba;
 use super::*;
 use crate::medium::SmokeMedium;
 use crate::reference::{self, Medium, diffusion as twin};
-use crate::render::diffusion::{Bindings, DiffusionUniform, control_buffer, solution_buffer};
+use crate::render::diffusion::{Bindings, DiffusionJob, DiffusionUniform, control_buffer, solution_buffer};
 use crate::render::frame::uniform;
 use crate::render::incident_light::COLUMN_BYTES;
 use crate::render::lighting::LightingUniform;
@@ -48,7 +48,8 @@ fn solve(g: f32, solves: usize) -> ([Vec<f64>; 2], SolverReport) {
         };
         let pass = &gpu.passes().diffusion;
         let groups = bindings.bind(shape, pass, gpu.device(), gpu.cache());
-        gpu.run_all(&pass.jobs(&groups));
+        let job = DiffusionJob { bind_groups: Arc::new(groups), rbf_count: uploaded.rbf_count };
+        gpu.run_all(&pass.jobs(&job));
         found = gpu.read_floats(&probes);
         report = SolverReport::from_bytes(&read_buffer(gpu.device(), gpu.queue(), &control));
     }

@@ -10,13 +10,17 @@ mod density;
 mod diffusion;
 mod environment;
 mod incident_light;
+mod moments;
 mod outgoing;
 mod pair_matrix;
 mod paper;
 mod pipelines;
 mod scattering;
+mod scenes;
 mod view;
 mod volume;
+
+use std::sync::Arc;
 
 use bevy::color::LinearRgba;
 use bevy::math::{DVec3, UVec2, UVec3, Vec3};
@@ -30,6 +34,7 @@ use bevy::render::renderer::{RenderDevice, RenderQueue};
 use half::f16;
 
 use super::SmokePasses;
+use super::baked::GpuBakedFrame;
 use super::frame::{FILTERED_FORMAT, GpuSmokeFrame};
 use super::lighting::{LampUniform, LightingUniform, MAX_LAMPS};
 use super::pass::{ComputePass, Job};
@@ -38,6 +43,7 @@ use crate::density::GridShape;
 use crate::headless::{Headless, read_buffer, read_texture};
 use crate::medium::SmokeMedium;
 use crate::optics::erfcx;
+use crate::playback::Moment;
 use crate::rbf::{Rbf, RbfModel};
 use crate::reference::incident_light::{Incident, column, probes};
 use crate::reference::lamp::{Cone, Lamp, Lamps};
@@ -161,7 +167,12 @@ impl Gpu {
     }
 
     fn frame(&self, frame: &SmokeFrame) -> GpuSmokeFrame {
-        GpuSmokeFrame::new(frame.residual.shape(), frame, MAX_DENSITY, self.device(), self.queue())
+        self.moment(&Moment::frame(Arc::new(frame.clone()), MAX_DENSITY))
+    }
+
+    fn moment(&self, moment: &Moment) -> GpuSmokeFrame {
+        let baked = [&moment.from, &moment.to].map(|frame| Arc::new(GpuBakedFrame::new(frame, self.device())));
+        GpuSmokeFrame::new(moment, &moment.rbfs().rbfs, baked, self.device(), self.queue())
     }
 }
 

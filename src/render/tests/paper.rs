@@ -12,7 +12,7 @@ use crate::reference::taylor::Taylor;
 use crate::render::frame::{FILTERED_FORMAT, texture_3d, uniform};
 use crate::render::lighting::LightingUniform;
 use crate::render::outgoing::LookUniform;
-use crate::render::paper::{CarryBindings, LightBindings, LookBindings, PaperUniform, Step, Tables, jobs};
+use crate::render::paper::{LightBindings, LookBindings, PaperUniform, Step, Tables, jobs};
 use crate::render::volume;
 use crate::sh::Exponential;
 
@@ -58,7 +58,7 @@ fn light(frame: &SmokeFrame, exponential: PaperExponential, steps: Option<u32>) 
     let paper = PaperUniform::new(Mat3::from_quat(rotation), exponential);
     let count = rbfs(frame).len();
     let zeros = |vectors: usize| gpu.buffer(&vec![[0.0_f32; 4]; vectors]);
-    let (source, rhs, solution) = (zeros(16 * count), zeros(count), zeros(count));
+    let (source, rhs, solution) = (zeros(16 * count), zeros(count), zeros(uploaded.rbf_capacity as usize));
     let matrix = gpu.buffer(&vec![0.0_f32; 3 * count * count]);
     let bindings = LightBindings {
         frame: &uploaded,
@@ -75,8 +75,7 @@ fn light(frame: &SmokeFrame, exponential: PaperExponential, steps: Option<u32>) 
     };
     let passes = &gpu.passes().paper;
     let groups = bindings.bind(passes, gpu.device(), gpu.cache());
-    let jobs: Vec<_> =
-        jobs(&groups, count as u32, steps).into_iter().map(|(step, job)| (passes.of(step), job)).collect();
+    let jobs: Vec<_> = jobs(&groups, &uploaded, steps).into_iter().map(|(step, job)| (passes.of(step), job)).collect();
     gpu.run_all(&jobs);
 
     let [x, y, z, w] = rotation.to_array().map(f64::from);
@@ -87,7 +86,15 @@ fn light(frame: &SmokeFrame, exponential: PaperExponential, steps: Option<u32>) 
     };
     let single = twin::source_radiance(rbfs(frame), &lighting, &medium(), exponential);
     let read = |buffer| gpu.read_floats(buffer);
-    (Lit { source: read(&source), matrix: read(&matrix), rhs: read(&rhs), solution: read(&solution) }, single)
+    (
+        Lit {
+            source: read(&source),
+            matrix: read(&matrix),
+            rhs: read(&rhs),
+            solution: read(&solution)[..4 * count].to_vec(),
+        },
+        single,
+    )
 }
 
 fn coefficients(source: &[ShRgb]) -> impl Iterator<Item = f64> + '_ {
@@ -135,32 +142,6 @@ fn the_solver_and_what_follows_match_their_twin() {
     let (lit, single) = light(&frame, PaperExponential::Hybrid, Some(2));
     let expected = twin::multiple(rbfs(&frame), &single, &medium(), &[DVec3::ZERO; 4], 2);
     assert_close("paper, L0 after two steps", 1e-3, unpad(&lit.solution), expected.mean.iter().flat_map(|&c| rgb(c)));
-}
-
-#[test]
-fn solutions_are_carried_over_as_by_their_twin() {
-    let (gpu, old) = (Gpu::new(), fixture());
-    let mut random = Random(29);
-    let moved = |rbf: &Rbf| {
-        let center = Vec3::from(rbf.center).as_dvec3() + 0.05 * (random.vector() - 0.5);
-        Rbf { center: center.as_vec3().to_array(), ..*rbf }
-    };
-    let new = SmokeFrame::new(RbfModel { rbfs: rbfs(&old)[5..].iter().map(moved).collect() }, fixture().residual);
-    let solution: Vec<DVec3> = rbfs(&old).iter().map(|_| random.vector().as_vec3().as_dvec3()).collect();
-    let (old_frame, frame) = (gpu.frame(&old), gpu.frame(&new));
-    let carried = gpu.buffer(&vec![[0.0_f32; 4]; rbfs(&new).len()]);
-    let bindings = CarryBindings {
-        old_frame: &old_frame.uniform,
-        old_rbfs: &old_frame.rbfs,
-        old_solution: &gpu.buffer(&pad(solution.iter().copied())),
-        frame: &frame,
-        solution: &carried,
-    };
-    let passes = &gpu.passes().paper;
-    let bind_group = bindings.bind(passes, gpu.device(), gpu.cache());
-    gpu.run(passes.of(Step::CarryOver), Job { bind_group, workgroups: UVec3::ONE });
-    let expected = twin::carry_over(rbfs(&old), &solution, rbfs(&new));
-    assert_close("paper, carried", EXACT, unpad(&gpu.read_floats(&carried)), expected.into_iter().flat_map(rgb));
 }
 
 #[test]

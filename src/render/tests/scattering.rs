@@ -3,7 +3,9 @@ use crate::reference::lamp::with_lamps;
 use crate::reference::transport::{self, DeltaM};
 use crate::render::footprint::Footprints;
 use crate::render::frame::uniform;
-use crate::render::scattering::{Bindings, CONTROL_BYTES, SOURCE_BYTES, STATE_BYTES, SolverReport, StepUniform};
+use crate::render::scattering::{
+    Bindings, CONTROL_BYTES, SOURCE_BYTES, STATE_BYTES, ScatteringJob, SolverReport, StepUniform,
+};
 
 /// Whether lamps light what scatters.
 #[derive(Clone, Copy, PartialEq)]
@@ -46,13 +48,15 @@ fn solve(medium: SmokeMedium, escape: f64, tolerance: f32, sharp: Sharp) -> ([Ve
         rows: &gpu.buffer(&rows),
         sources: &zeros(count as u64 * SOURCE_BYTES),
         // What was left there must not matter, whatever it is.
-        states: &gpu.buffer(&vec![f32::NAN; count * STATE_BYTES as usize / 4]),
+        states: &gpu.buffer(&vec![f32::NAN; uploaded.rbf_capacity as usize * STATE_BYTES as usize / 4]),
         gathered: &gathered,
         control: &control,
     };
     let pass = &gpu.passes().scattering;
     let groups = pass.bind(&bindings, gpu.device(), gpu.cache());
-    gpu.run_all(&pass.jobs(&groups, count as u32, coefficients));
+    let (rbf_count, rbf_capacity) = (uploaded.rbf_count, uploaded.rbf_capacity);
+    let job = ScatteringJob { bind_groups: Arc::new(groups), rbf_count, rbf_capacity, coefficients };
+    gpu.run_all(&pass.jobs(&job));
 
     let report = SolverReport::from_bytes(&read_buffer(gpu.device(), gpu.queue(), &control)).unwrap();
     let found = gpu.read_floats(&gathered);
