@@ -36,7 +36,7 @@ is kept in OUT.smoke.parts until all is. Inputs, settings and seed decide the bu
 
 Segments bake on as many machines as there are, here with GNU parallel; any farm's scheduler does:
 
-  parallel smoke bake 'plume_*.vdb' -o seg{}.smoke --segment {}/4 ::: 1 2 3 4
+  parallel -q smoke bake 'plume_*.vdb' -o seg{}.smoke --segment {}/4 ::: 1 2 3 4
   smoke join seg1.smoke seg2.smoke seg3.smoke seg4.smoke -o plume.smoke";
 
 /// Options of `smoke bake`.

@@ -11,7 +11,7 @@ pub(super) const EXAMPLES: &str = "\
 Frames come in the order of the bundles, which have to agree in box, placement and speed: segments of one sequence do.
 RBFs that are nearly the same where two bundles meet go on as one; the others fade out and in within a frame.
 
-  parallel smoke bake 'plume_*.vdb' -o seg{}.smoke --segment {}/4 ::: 1 2 3 4
+  parallel -q smoke bake 'plume_*.vdb' -o seg{}.smoke --segment {}/4 ::: 1 2 3 4
   smoke join seg1.smoke seg2.smoke seg3.smoke seg4.smoke -o plume.smoke";
 
 /// Options of `smoke join`.
