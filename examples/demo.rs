@@ -71,7 +71,9 @@ pub fn setup(
     mut materials: ResMut<Assets<StandardMaterial>>,
 ) {
     commands.spawn((
-        SmokeVolume::new(assets.load("plume.smoke")),
+        SmokeVolume::new(assets.load("billow.smoke")),
+        // Pictures show it risen.
+        SmokePlayback::default().starting_at_frame(36),
         SmokeMedium { sigma_t: 9.0, albedo: LinearRgba::rgb(0.95, 0.94, 0.92), g: 0.2 },
         Transform::from_xyz(0.0, 1.7, 0.0).with_scale(Vec3::splat(3.4)),
     ));

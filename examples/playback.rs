@@ -25,9 +25,9 @@ fn main() {
 
 pub fn setup(mut commands: Commands, assets: Res<AssetServer>, mut images: ResMut<Assets<Image>>) {
     commands.spawn((
-        SmokeVolume::new(assets.load("plume.smoke")),
+        SmokeVolume::new(assets.load("billow.smoke")),
         SmokePlayback::default(),
-        SmokeMedium { sigma_t: 7.0, albedo: LinearRgba::rgb(0.95, 0.95, 0.95), g: 0.3 },
+        SmokeMedium { sigma_t: 9.0, albedo: LinearRgba::rgb(0.95, 0.95, 0.95), g: 0.3 },
         Transform::from_scale(Vec3::splat(3.0)),
     ));
     commands.spawn((
