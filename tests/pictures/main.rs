@@ -9,6 +9,7 @@ mod endurance;
 mod environments;
 mod examples;
 mod lamps;
+mod playback;
 mod scattering;
 mod scene;
 mod work;
