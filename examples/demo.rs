@@ -4,10 +4,12 @@
 //! and needs no display.
 
 use std::process::ExitCode;
+use std::time::Duration;
 
 use bevy::camera::Exposure;
 use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
+use bevy::time::TimeUpdateStrategy;
 use bevy_smoke::headless::Headless;
 use bevy_smoke::prelude::*;
 
@@ -39,6 +41,8 @@ fn window() -> ExitCode {
 fn picture(file: &str) -> ExitCode {
     let size = UVec2::new(640, 480);
     let drawn = Headless::new(size, TextureFormat::Rgba8UnormSrgb).and_then(|mut headless| {
+        // The same picture however long drawing takes.
+        headless.app.insert_resource(TimeUpdateStrategy::ManualDuration(Duration::ZERO));
         headless.app.add_systems(Startup, setup);
         headless.draw_cameras_to_image();
         headless.settle()?;
