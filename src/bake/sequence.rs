@@ -105,12 +105,12 @@ pub fn bake_sequence(
     };
     let bake = Bake { sequence, settings, survey: &survey, folder: &folder, progress };
     let resumed = bake.frames()?;
-    let header = bake.assemble()?;
-    let mut report = bake.report(&header)?;
-    report.summary.resumed = resumed;
-    report.summary.seconds = started.elapsed().as_secs_f64();
+    let (header, frames) = bake.assemble()?;
+    let mut summary = SummaryReport::new(&frames, &header, settings.seed);
+    summary.resumed = resumed;
+    summary.seconds = started.elapsed().as_secs_f64();
     folder.remove()?;
-    Ok(report)
+    Ok(SequenceReport { summary, frames })
 }
 
 fn check_inputs(inputs: &[PathBuf], segment: Segment) -> Result<(), BakeError> {
@@ -267,8 +267,8 @@ impl Bake<'_> {
         Ok(())
     }
 
-    /// Puts the bundle together and into its place.
-    fn assemble(&self) -> Result<BundleHeader, BakeError> {
+    /// Puts the bundle together and into its place. Returns its header and the figures of its frames.
+    fn assemble(&self) -> Result<(BundleHeader, Vec<InputReport>), BakeError> {
         let temporary = self.folder.bundle();
         let output = self.sequence.output;
         let header = BundleHeader {
@@ -283,26 +283,18 @@ impl Bake<'_> {
         let file = File::create(&temporary).map_err(|error| fault(error.into()))?;
         let mut writer = BundleWriter::new(BufWriter::new(file), header, count).map_err(fault)?;
         let mut max_density = 0f32;
-        for index in 0..count {
-            let part = self.folder.load_finished(index)?;
-            max_density = max_density.max(part.figures.max_density());
-            writer.push(&part.packed).map_err(fault)?;
+        let mut frames = Vec::with_capacity(count);
+        for (index, path) in self.inputs().iter().enumerate() {
+            let Part { figures, packed } = self.folder.load_finished(index)?;
+            max_density = max_density.max(figures.max_density());
+            writer.push(&packed).map_err(fault)?;
+            frames.push(InputReport { input: path.display().to_string(), report: figures.report });
         }
         let (file, header) = writer.finish(max_density).map_err(fault)?;
         file.get_ref().sync_all().map_err(|error| fault(error.into()))?;
         verify(&temporary, &header).map_err(fault)?;
         replace(&temporary, output).map_err(|source| BakeError::Io { path: output.into(), source })?;
-        Ok(header)
-    }
-
-    fn report(&self, header: &BundleHeader) -> Result<SequenceReport, BakeError> {
-        let mut frames = Vec::new();
-        for (index, path) in self.inputs().iter().enumerate() {
-            let PartFigures { report, .. } = self.folder.load_finished(index)?.figures;
-            frames.push(InputReport { input: path.display().to_string(), report });
-        }
-        let summary = SummaryReport::new(&frames, header, self.settings.seed);
-        Ok(SequenceReport { summary, frames })
+        Ok((header, frames))
     }
 }
 
