@@ -6,8 +6,8 @@
 // thread a cell; every workgroup leaves its share of a dot product, and every workgroup adds up all shares.
 #import bevy_smoke::lighting::Lighting
 #import bevy_smoke::diffusion::{Cell, Diffusion, cell_at, index_of}
+#import bevy_smoke::sum::{add_up, THREADS}
 
-const THREADS: u32 = 256u;
 // The longest free path l, by measurement.
 const FREE_PATH: f32 = 0.125;
 
@@ -35,22 +35,6 @@ struct Control {
 fn residual_at(index: u32) -> u32 { return index; }
 fn direction_at(index: u32) -> u32 { return diffusion.cell_count + index; }
 fn image_at(index: u32) -> u32 { return 2u * diffusion.cell_count + index; }
-
-var<workgroup> partial: array<vec3<f32>, THREADS>;
-
-// The sum over the workgroup's threads.
-fn add_up(value: vec3<f32>, thread: u32) -> vec3<f32> {
-    workgroupBarrier();
-    partial[thread] = value;
-    workgroupBarrier();
-    for (var half = THREADS / 2u; half > 0u; half /= 2u) {
-        if thread < half {
-            partial[thread] += partial[thread + half];
-        }
-        workgroupBarrier();
-    }
-    return partial[0];
-}
 
 // The number of shares, at most THREADS.
 fn share_count() -> u32 {

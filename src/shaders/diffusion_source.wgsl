@@ -2,14 +2,11 @@
 // RBF's probes, `spread` blends the fits in every cell as `volume.wgsl` does, and averages the density.
 #import bevy_smoke::frame::{Frame, Rbf, bin_index}
 #import bevy_smoke::sh::{basis, band, SH_COEFFICIENTS}
-#import bevy_smoke::lighting::{Lighting, Fit, arriving_from, probe_position, probe_reach, MAX_LAMPS, PROBES}
+#import bevy_smoke::lighting::{Lighting, Fit, arriving_from, probe_position, probe_reach, value_of, weight_at, MAX_LAMPS, PROBES, REACH}
 #import bevy_smoke::diffusion::{Cell, Diffusion, cell_at, LINEAR, UNIT}
 
 // Bands 0 and 1.
 const KEPT: u32 = 4u;
-// As in `volume.wgsl`.
-const TAIL: f32 = 1e-6;
-const REACH: f32 = 1.5;
 // Cells of a smaller optical thickness are empty.
 const EMPTY: f32 = 1e-3;
 
@@ -60,10 +57,6 @@ fn fit(@builtin(global_invocation_id) id: vec3<u32>) {
     );
 }
 
-fn value(f: Fit, d: vec3<f32>) -> vec3<f32> {
-    return (f.center + (f.dx + f.qx * d.x) * d.x + (f.dy + f.qy * d.y) * d.y + (f.dz + f.qz * d.z) * d.z).rgb;
-}
-
 // Extinction of the cell about a point: the mean of eight points.
 fn extinction(x: vec3<f32>) -> f32 {
     let coarse_size = vec3<f32>(frame.coarse_dims + 2u) * (frame.coarse_ratio * frame.cell);
@@ -97,10 +90,10 @@ fn spread(@builtin(global_invocation_id) id: vec3<u32>) {
         let rbf = rbfs[l];
         let offset = x - rbf.center;
         let u2 = dot(offset, offset) / (rbf.radius * rbf.radius);
-        let phi = rbf.weight * (exp(-u2) + TAIL / ((1.0 + u2) * (1.0 + u2)));
+        let phi = weight_at(rbf, u2);
         let delta = offset * min(1.0, REACH / sqrt(max(u2, 1e-12)));
         for (var k = 0u; k < KEPT; k++) {
-            sums[k] += phi * value(fits[KEPT * l + k], delta);
+            sums[k] += phi * value_of(fits[KEPT * l + k], delta).rgb;
         }
         weights += phi;
     }

@@ -9,12 +9,12 @@
 #import bevy_smoke::sh::SH_COEFFICIENTS
 #import bevy_smoke::lighting::Lighting
 #import bevy_smoke::scattering::{Control, Step, source_stride}
+#import bevy_smoke::sum::{add_up, THREADS}
 
 // Sweeps between extrapolations; as in `render/scattering.rs`.
 const M: u32 = 5u;
 // Differences d_1 .. d_N.
 const N: u32 = 4u;
-const THREADS: u32 = 256u;
 // Products d_i d_j (i <= j), d_i u_{M-1}, u_{M-1}^2, u_{M-2}^2, x_M^2.
 const SUMS: u32 = 17u;
 const MIXED: u32 = 10u;
@@ -31,7 +31,6 @@ const SOLUTION: u32 = 16u;
 @group(0) @binding(6) var<storage, read_write> states: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> control: Control;
 
-var<workgroup> partial: array<vec3<f32>, THREADS>;
 var<workgroup> totals: array<vec3<f32>, SUMS>;
 // Factors xi_j of each channel, and the channel's estimated relative error.
 var<workgroup> factors: array<vec4<f32>, 3>;
@@ -96,20 +95,6 @@ fn solve(channel: u32) {
     let rate = clamp(sqrt(last / max(totals[BEFORE][channel], 1e-30)), 0.0, 0.999);
     let left = select(last, max(residual, 1e-14 * scale), usable);
     errors[channel] = sqrt(left / scale) * rate / (1.0 - rate);
-}
-
-// The sum over all threads.
-fn add_up(value: vec3<f32>, thread: u32) -> vec3<f32> {
-    workgroupBarrier();
-    partial[thread] = value;
-    workgroupBarrier();
-    for (var half = THREADS / 2u; half > 0u; half /= 2u) {
-        if thread < half {
-            partial[thread] += partial[thread + half];
-        }
-        workgroupBarrier();
-    }
-    return partial[0];
 }
 
 @compute @workgroup_size(THREADS)

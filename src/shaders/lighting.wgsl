@@ -62,6 +62,22 @@ struct Fit {
     qz: vec4<f32>,
 }
 
+// A fit, `offset` from the RBF's centre.
+fn value_of(fit: Fit, offset: vec3<f32>) -> vec4<f32> {
+    return fit.center + (fit.dx + fit.qx * offset.x) * offset.x + (fit.dy + fit.qy * offset.y) * offset.y
+        + (fit.dz + fit.qz * offset.z) * offset.z;
+}
+
+// Fits are followed no farther than this many radii.
+const REACH: f32 = 1.5;
+const TAIL: f32 = 1e-6;
+
+// How much an RBF's fit counts u radii from its centre, for the square of u. The tail, a millionth at the centre, decays
+// slowly: where no RBF reaches, wisps take the source radiance of the nearest ones.
+fn weight_at(rbf: Rbf, square: f32) -> f32 {
+    return rbf.weight * (exp(-square) + TAIL / ((1.0 + square) * (1.0 + square)));
+}
+
 // Directions each probe looks in; one thread each.
 const DIRECTIONS: u32 = 64u;
 // Probes around an RBF: its centre, and both sides along x, y and z.

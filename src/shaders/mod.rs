@@ -12,6 +12,7 @@ pub(crate) fn embed(app: &mut App) {
     load_shader_library!(app, "lighting.wgsl");
     load_shader_library!(app, "scattering.wgsl");
     load_shader_library!(app, "sh.wgsl");
+    load_shader_library!(app, "sum.wgsl");
     embedded_asset!(app, "environment.wgsl");
     embedded_asset!(app, "density.wgsl");
     embedded_asset!(app, "coarse.wgsl");
@@ -128,6 +129,7 @@ mod tests {
             ("paper.wgsl", include_str!("paper.wgsl")),
             ("scattering.wgsl", include_str!("scattering.wgsl")),
             ("sh.wgsl", include_str!("sh.wgsl")),
+            ("sum.wgsl", include_str!("sum.wgsl")),
             ("bevy view", BEVY_VIEW),
             ("bevy tonemapping", BEVY_TONEMAPPING),
         ];

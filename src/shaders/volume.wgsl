@@ -2,14 +2,8 @@
 //     J(x) = max(0, sum_l phi_l J_l(x) / sum_l phi_l),   phi = w (exp(-u^2) + tail),   J_l the quadratic fit,
 // and, for every lamp, albedo times phase times its irradiance after exp(-sigma column), with columns interpolated by the
 // same formula: transmittance falls exponentially where smoke is thick, columns grow evenly. Beside it the density.
-// The tail, a millionth at the centre, decays slowly: where no RBF reaches,
-// wisps take the source radiance of the nearest ones.
 #import bevy_smoke::frame::{Frame, Rbf, MAX_HALF, bin_index, cell_center}
-#import bevy_smoke::lighting::{Arriving, Lighting, Fit, arriving_from, phase, probe_reach, PI}
-
-const TAIL: f32 = 1e-6;
-// The fits are followed no farther than this many radii.
-const REACH: f32 = 1.5;
+#import bevy_smoke::lighting::{Arriving, Lighting, Fit, arriving_from, phase, probe_reach, value_of, weight_at, PI, REACH}
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<uniform> lighting: Lighting;
@@ -41,10 +35,6 @@ fn near_density(cell: vec3<i32>) -> bool {
 }
 
 // A fit at an offset from its centre.
-fn value(f: Fit, d: vec3<f32>) -> vec4<f32> {
-    return f.center + (f.dx + f.qx * d.x) * d.x + (f.dy + f.qy * d.y) * d.y + (f.dz + f.qz * d.z) * d.z;
-}
-
 // RBFs hold what falls with the distance from a lamp down to one over this many radii, by measurement.
 const HELD: f32 = 0.6;
 
@@ -79,15 +69,15 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
         let rbf = rbfs[l];
         let offset = x - rbf.center;
         let u2 = dot(offset, offset) / (rbf.radius * rbf.radius);
-        let phi = rbf.weight * (exp(-u2) + TAIL / ((1.0 + u2) * (1.0 + u2)));
+        let phi = weight_at(rbf, u2);
         let reach = REACH * probe_reach(rbf, lighting.sigma_mean, frame.density_scale) / rbf.radius;
         let delta = offset * min(1.0, reach / sqrt(max(u2, 1e-12)));
         let o = outgoing[l];
         let low = vec3(o.center.w, o.dx.w, o.dy.w);
         let high = vec3(o.dz.w, o.qx.w, o.qy.w);
-        sum += phi * clamp(value(o, delta).rgb, low, high);
+        sum += phi * clamp(value_of(o, delta).rgb, low, high);
         for (var s = 0u; 4u * s < lighting.lamp_count; s++) {
-            columns[s] += phi * value(shades[2u * l + s], delta);
+            columns[s] += phi * value_of(shades[2u * l + s], delta);
         }
         weights += phi;
         radii += phi * rbf.radius;
