@@ -264,6 +264,8 @@ fn once_ends_with_an_event() {
     for _ in 0..5 {
         theatre.step(1.0);
     }
+    // At its end it wanted no other frame: those before it have to be read again.
+    theatre.wait();
     assert_eq!((theatre.shown(volume), theatre.heard().finished), (Some(1.0), 2));
     // Past the end; frames that far away have to be read again.
     theatre.playback(volume).seek(1.0);
