@@ -53,6 +53,7 @@ pub mod density;
 pub mod headless;
 pub mod lighting;
 pub mod medium;
+pub mod occluder;
 pub mod optics;
 #[cfg(feature = "reference")]
 pub mod paper;
@@ -66,6 +67,7 @@ pub mod residual;
 pub mod scattering;
 pub mod sh;
 mod shaders;
+pub mod shadows;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod simulate;
@@ -81,8 +83,10 @@ pub mod prelude {
     pub use crate::bundle::SmokeAnimation;
     pub use crate::lighting::SmokeEnvironment;
     pub use crate::medium::SmokeMedium;
+    pub use crate::occluder::{OccluderSphere, SmokeOccluder};
     pub use crate::playback::{PlaybackMode, SmokeFinished, SmokeLooped, SmokePlayback, SmokeReady};
     pub use crate::scattering::{ScatteringEvents, ScatteringSolver, SmokeScattering};
+    pub use crate::shadows::{NoSmokeShadow, SmokeShadows};
     pub use crate::volume::SmokeVolume;
 }
 
@@ -103,6 +107,9 @@ impl Plugin for SmokePlugin {
             .register_type::<medium::SmokeMedium>()
             .register_type::<lighting::SmokeEnvironment>()
             .register_type::<scattering::SmokeScattering>()
+            .register_type::<occluder::SmokeOccluder>()
+            .register_type::<shadows::SmokeShadows>()
+            .register_type::<shadows::NoSmokeShadow>()
             .add_plugins((volume::SmokeVolumePlugin, playback::SmokePlaybackPlugin, render::SmokeRenderPlugin));
     }
 }
