@@ -52,8 +52,7 @@ fn window() -> ExitCode {
 /// Draws so many frames into files.
 fn pictures(count: u32, name: impl Fn(u32) -> String) -> Result<(), String> {
     let size = UVec2::new(960, 600);
-    let mut headless =
-        Headless::new(size, TextureFormat::Rgba8UnormSrgb).map_err(|error| format!("error: {error}"))?;
+    let mut headless = Headless::new(size, TextureFormat::Rgba8UnormSrgb).map_err(|error| format!("error: {error}"))?;
     headless.app.add_systems(Startup, setup).add_systems(Update, walk);
     headless.draw_cameras_to_image();
     ready(&mut headless);
@@ -160,7 +159,8 @@ pub fn walk(
         walker.walked += SPEED * time.delta_secs();
         let heading = Quat::from_rotation_y(walker.walked / RADIUS);
         // Forward is +Z of the figure.
-        *transform = Transform::from_translation(MIDDLE + heading * Vec3::new(-RADIUS, 0.0, 0.0)).with_rotation(heading);
+        *transform =
+            Transform::from_translation(MIDDLE + heading * Vec3::new(-RADIUS, 0.0, 0.0)).with_rotation(heading);
         let pose = figure::walk(TAU * walker.walked / figure::STRIDE);
         for (joint, mut place) in &mut joints {
             *place = pose[joint.0];

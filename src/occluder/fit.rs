@@ -170,3 +170,83 @@ fn solid(mesh: &TriangleMesh, places: &[(Vec3, u16)], cells: usize) -> Result<So
     }
     Ok(Solid { lattice, part })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::occluder::shapes;
+    use glam::vec3;
+    use proptest::prelude::*;
+
+    #[test]
+    fn one_sphere_fits_a_ball() {
+        // A torus without a hole is as round as a mesh gets here: its tube is a sphere.
+        let mesh = shapes::torus(1e-4, 0.5, 64, 32);
+        let fit = fit_solid(&mesh, 1).unwrap();
+        let sphere = fit.spheres[0];
+        // Radii are tried in quarters of cells, 1/40 of the diameter each.
+        assert!(sphere.center.length() < 0.01 && (sphere.radius - 0.5).abs() < 0.01, "{sphere:?}");
+        assert!(fit.error.difference < 0.04 && fit.error.silhouette < 0.03, "{:?}", fit.error);
+        let volume = core::f32::consts::PI / 6.0;
+        assert!((fit.error.volume / volume - 1.0).abs() < 0.02, "{:?}", fit.error);
+    }
+
+    #[test]
+    fn more_spheres_are_closer() {
+        let mesh = shapes::torus(1.0, 0.3, 48, 16);
+        let errors = [6, 12, 24].map(|spheres| fit_solid(&mesh, spheres).unwrap().error);
+        assert!(errors.windows(2).all(|pair| pair[1].silhouette < 0.7 * pair[0].silhouette), "{errors:?}");
+        assert!(errors.windows(2).all(|pair| pair[1].difference < 0.7 * pair[0].difference), "{errors:?}");
+        assert!(errors[2].difference < 0.1 && errors[2].outside <= errors[2].difference, "{errors:?}");
+    }
+
+    #[test]
+    fn what_cannot_be_fitted_is_refused() {
+        let mesh = shapes::box_grid(Vec3::ONE, [1; 3]);
+        assert_eq!(fit_solid(&TriangleMesh::default(), 4), Err(FitFailure::NoTriangles));
+        let mut bad = mesh.clone();
+        bad.triangles[3][1] = 1000;
+        assert_eq!(fit_solid(&bad, 4), Err(FitFailure::BadCorner));
+        let mut bad = mesh.clone();
+        bad.positions[2].y = f32::NAN;
+        assert_eq!(fit_solid(&bad, 4), Err(FitFailure::BadCorner));
+        let flat = shapes::box_grid(vec3(1.0, 0.0, 1.0), [1; 3]);
+        assert_eq!(fit_solid(&flat, 4), Err(FitFailure::NoInside));
+        let mut sheet = mesh.clone();
+        sheet.positions.iter_mut().for_each(|point| point.y = point.x * point.x + point.z);
+        sheet.triangles.truncate(2);
+        assert_eq!(fit_solid(&sheet, 4), Err(FitFailure::NoInside));
+        assert_eq!(fit_solid(&mesh, 0).unwrap().spheres, []);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(6))]
+        /// Wherever a box lies and however large it is, its spheres are the same but for that.
+        #[test]
+        fn fits_follow_place_and_size(
+            size in prop::array::uniform3(0.5_f32..2.0),
+            exponent in -8_i32..8,
+            place in prop::array::uniform3(-8_i32..8),
+        ) {
+            let mesh = shapes::box_grid(Vec3::from(size), [1; 3]);
+            let fit = fit_solid(&mesh, 7).unwrap();
+            prop_assert!(fit.spheres.len() <= 7);
+            prop_assert!(fit.error.difference < 0.4, "{:?}", fit.error);
+            prop_assert!(fit.spheres.iter().all(|sphere| sphere.center.is_finite() && sphere.radius > 0.0));
+            prop_assert_eq!(&fit, &fit_solid(&mesh, 7).unwrap());
+            // Powers of two are exact: positions that do not move keep every bit.
+            let scale = 2.0_f32.powi(exponent);
+            let offset = scale * Vec3::from(place.map(|place| place as f32));
+            let mut moved = mesh.clone();
+            moved.positions.iter_mut().for_each(|point| *point *= scale);
+            let scaled = fit_solid(&moved, 7).unwrap();
+            for (a, b) in fit.spheres.iter().zip(&scaled.spheres) {
+                prop_assert!((a.center * scale).abs_diff_eq(b.center, 1e-4 * scale) && (a.radius * scale - b.radius).abs() < 1e-4 * scale);
+            }
+            // Elsewhere rounding may decide otherwise here and there.
+            moved.positions.iter_mut().for_each(|point| *point += offset);
+            let moved = fit_solid(&moved, 7).unwrap();
+            prop_assert!((moved.error.difference - fit.error.difference).abs() < 0.03);
+        }
+    }
+}

@@ -57,10 +57,10 @@ impl FitJob {
         spheres: usize,
     ) -> Result<Self, FitFailure> {
         let skin = match inverse_bindposes {
-            Some(poses) if shape == OccluderShape::Solid => Some(skin(mesh, poses)?),
+            Some(poses) if shape == OccluderShape::Solid => Some(mesh_skin(mesh, poses)?),
             _ => None,
         };
-        Ok(Self { mesh: triangles(mesh)?, skin, shape, spheres })
+        Ok(Self { mesh: mesh_triangles(mesh)?, skin, shape, spheres })
     }
 
     pub fn run(self) -> Result<SmokeOccluder, FitFailure> {
@@ -101,7 +101,7 @@ impl From<MeshAccessError> for FitFailure {
 }
 
 /// The triangles of a mesh.
-fn triangles(mesh: &Mesh) -> Result<TriangleMesh, FitFailure> {
+pub(crate) fn mesh_triangles(mesh: &Mesh) -> Result<TriangleMesh, FitFailure> {
     let positions = match mesh.try_attribute_option(Mesh::ATTRIBUTE_POSITION)? {
         Some(VertexAttributeValues::Float32x3(positions)) => positions.iter().copied().map(Into::into).collect(),
         _ => return Err(FitFailure::NoPositions),
@@ -128,7 +128,7 @@ fn triangles(mesh: &Mesh) -> Result<TriangleMesh, FitFailure> {
 }
 
 /// How a mesh follows joints.
-fn skin(mesh: &Mesh, inverse_bindposes: &[Mat4]) -> Result<Skin, FitFailure> {
+pub(crate) fn mesh_skin(mesh: &Mesh, inverse_bindposes: &[Mat4]) -> Result<Skin, FitFailure> {
     let joints = match mesh.try_attribute_option(Mesh::ATTRIBUTE_JOINT_INDEX)? {
         Some(VertexAttributeValues::Uint16x4(joints)) => joints.clone(),
         _ => return Err(FitFailure::BadSkin),

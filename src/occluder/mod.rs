@@ -23,6 +23,8 @@ pub use component::SmokeOccluderFit;
 pub(crate) use component::SmokeOccluderPlugin;
 pub use fit::{FitError, FitFailure, SphereFit, fit_solid};
 pub use mesh::{OccluderShape, fit_mesh};
+#[cfg(feature = "cli")]
+pub(crate) use mesh::{mesh_skin, mesh_triangles};
 pub use silhouette::silhouette_error;
 pub use skin::{Skin, fit_skinned};
 pub use solid::TriangleMesh;

@@ -71,3 +71,31 @@ fn compare(mesh: &TriangleMesh, spheres: &[(Vec3, f32)], direction: Vec3) -> Opt
     let count = |is: &dyn Fn(u8) -> bool| seen.iter().filter(|bits| is(**bits)).count() as f32;
     Some([pixel * pixel, count(&|bits| bits & 1 != 0), count(&|bits| bits == 1 || bits == 2)])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::occluder::shapes;
+
+    #[test]
+    fn nothing_is_wholly_wrong_and_a_sphere_is_right() {
+        let cube = shapes::box_grid(Vec3::ONE, [2; 3]);
+        assert_eq!(silhouette_error(&cube, &[]), Some(1.0));
+        // Its outlines have a mean area of a quarter of its surface, 1.5; a sphere of radius 2 covers 4π.
+        let error = silhouette_error(&cube, &[(Vec3::ZERO, 2.0)]).unwrap();
+        // 24 directions and 160 pixels across are exact to about a per cent.
+        assert!((error - (4.0 * core::f32::consts::PI / 1.5 - 1.0)).abs() < 0.1, "{error}");
+        assert_eq!(silhouette_error(&TriangleMesh::default(), &[]), None);
+
+        let thin = shapes::torus(1.0, 0.5, 64, 32);
+        let beads: Vec<_> = (0..64)
+            .map(|bead| {
+                let (sine, cosine) = (core::f32::consts::TAU * bead as f32 / 64.0).sin_cos();
+                (Vec3::new(cosine, 0.0, sine), 0.5)
+            })
+            .collect();
+        // Pixels at the edge are all that is left, and the torus' facets.
+        let error = silhouette_error(&thin, &beads).unwrap();
+        assert!(error < 0.02, "{error}");
+    }
+}

@@ -224,3 +224,84 @@ fn side(a: [f64; 2], b: [f64; 2], point: [f64; 2]) -> (f64, bool) {
         (-area, area < 0.0)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::occluder::shapes;
+
+    /// The share of cells whose answer differs from a formula's.
+    fn wrong(mesh: &TriangleMesh, is_inside: impl Fn(Vec3) -> bool) -> f32 {
+        let lattice = Lattice::around(mesh, 4000).unwrap();
+        let found = inside(mesh, &lattice);
+        let cells = found.iter().filter(|inside| **inside).count();
+        let wrong =
+            (0..lattice.len()).filter(|cell| found[*cell] != is_inside(lattice.to_space(lattice.center(*cell))));
+        wrong.count() as f32 / cells as f32
+    }
+
+    fn in_box(size: Vec3) -> impl Fn(Vec3) -> bool {
+        move |point| (point.abs().cmplt(0.5 * size)).all()
+    }
+
+    #[test]
+    fn closed_meshes_are_exact() {
+        let size = Vec3::new(1.0, 2.0, 0.7);
+        let mesh = shapes::box_grid(size, [3, 5, 2]);
+        assert_eq!(wrong(&mesh, in_box(size)), 0.0);
+        let mut inside_out = mesh.clone();
+        inside_out.triangles.iter_mut().for_each(|corners| corners.reverse());
+        assert_eq!(wrong(&inside_out, in_box(size)), 0.0);
+        let torus = shapes::torus(1.0, 0.4, 128, 64);
+        let in_torus = |point: Vec3| (Vec3::new(point.x, 0.0, point.z).length() - 1.0).hypot(point.y) < 0.4;
+        // Facets lie within the torus by half a per cent of its radius.
+        assert!(wrong(&torus, in_torus) < 0.02);
+    }
+
+    #[test]
+    fn meshes_may_overlap_themselves() {
+        let mut mesh = shapes::box_grid(Vec3::ONE, [1; 3]);
+        let other = shapes::box_grid(Vec3::new(0.5, 2.0, 0.5), [1; 3]);
+        let first = mesh.positions.len() as u32;
+        mesh.positions.extend(&other.positions);
+        mesh.triangles.extend(other.triangles.iter().map(|corners| corners.map(|corner| corner + first)));
+        let (a, b) = (in_box(Vec3::ONE), in_box(Vec3::new(0.5, 2.0, 0.5)));
+        assert_eq!(wrong(&mesh, |point| a(point) || b(point)), 0.0);
+    }
+
+    #[test]
+    fn holes_are_closed() {
+        let mut mesh = shapes::box_grid(Vec3::ONE, [8; 3]);
+        // The whole lid.
+        let is_lid = |corners: &[u32; 3]| corners.iter().all(|corner| mesh.positions[*corner as usize].y > 0.499);
+        let kept = mesh.triangles.iter().copied().filter(|corners| !is_lid(corners)).collect();
+        mesh.triangles = kept;
+        assert_eq!(wrong(&mesh, in_box(Vec3::ONE)), 0.0);
+        // What is left of a sheet has no inside at all.
+        mesh.triangles.truncate(128);
+        assert!(!inside(&mesh, &Lattice { origin: Vec3::splat(-1.0), cell: 0.1, dims: [21; 3] }).contains(&true));
+    }
+
+    #[test]
+    fn lattices_hold_about_the_cells_that_are_asked_for() {
+        for size in [Vec3::ONE, Vec3::new(3.0, 0.1, 1.0), Vec3::new(0.2, 7.0, 0.3)] {
+            let mesh = shapes::box_grid(size, [1; 3]);
+            let lattice = Lattice::around(&mesh, 5000).unwrap();
+            let cells = inside(&mesh, &lattice).iter().filter(|inside| **inside).count();
+            // Thin boxes are a whole number of cells thick.
+            assert!((3500..7000).contains(&cells), "{cells} cells in {size}");
+        }
+        assert!(Lattice::around(&shapes::box_grid(Vec3::new(1.0, 0.0, 1.0), [1; 3]), 100).is_none());
+    }
+
+    #[test]
+    fn floods_find_the_nearest_seed() {
+        let lattice = Lattice { origin: Vec3::ZERO, cell: 1.0, dims: [9, 5, 4] };
+        let seeds = [lattice.index_of(Vec3::ZERO), lattice.index_of(vec3(8.0, 0.0, 0.0))];
+        let nearest = lattice.flood(&seeds);
+        for cell in 0..lattice.len() {
+            let x = lattice.place(cell)[0];
+            assert!(x == 4 || nearest[cell] == u32::from(x > 4));
+        }
+    }
+}

@@ -269,3 +269,82 @@ fn settle(caps: &mut [Cap], samples: &[Vec3], largest: f32) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn field(height: impl Fn(f32, f32) -> f32) -> HeightField {
+        let (columns, rows, size) = (33, 25, vec2(40.0, 30.0));
+        let at = |index: usize, count: usize, length: f32| (index as f32 / (count - 1) as f32 - 0.5) * length;
+        let heights = (0..rows * columns)
+            .map(|index| height(at(index % columns, columns, size.x), at(index / columns, rows, size.y)))
+            .collect();
+        HeightField { size, columns, heights }
+    }
+
+    #[test]
+    fn spheres_follow_ground() {
+        // (what, spheres, error that is allowed, as measured and a third)
+        let hill = |x: f32, z: f32| 4.0 * (-(x * x + z * z) / 100.0).exp();
+        for (name, field, most) in [
+            ("flat", field(|_, _| 2.0), 0.1),
+            ("slope", field(|x, z| 0.4 * x - 0.2 * z), 0.15),
+            ("hill", field(hill), 0.15),
+            ("hollow", field(|x, z| -hill(x, z)), 0.25),
+        ] {
+            let fit = fit_ground(&field, 20).unwrap();
+            assert_eq!(fit.spheres.len(), 20);
+            assert!(fit.height_rms < most, "{name}: {fit:?}");
+            let few = fit_ground(&field, 5).unwrap();
+            assert!(fit.height_rms < 0.6 * few.height_rms, "{name}: {} and {}", fit.height_rms, few.height_rms);
+            // The error is that of the spheres as they are handed out.
+            let above = |index: usize| {
+                let point = field.point(index);
+                let tops = fit.spheres.iter().filter_map(|sphere| {
+                    let flat = vec2(point.x - sphere.center.x, point.z - sphere.center.z);
+                    let under = sphere.radius * sphere.radius - flat.length_squared();
+                    (under >= 0.0).then(|| sphere.center.y + under.sqrt())
+                });
+                tops.fold(f32::NEG_INFINITY, f32::max) - point.y
+            };
+            let squares: f32 = (0..field.heights.len()).map(|index| above(index).powi(2)).sum();
+            assert!(((squares / field.heights.len() as f32).sqrt() / fit.height_rms - 1.0).abs() < 1e-3, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_mesh_is_seen_from_above() {
+        let corner = |x: f32, z: f32| vec3(10.0 + x, 0.25 * x, -5.0 + z);
+        let mut mesh = TriangleMesh {
+            positions: vec![corner(-4.0, -2.0), corner(-4.0, 2.0), corner(4.0, 2.0), corner(4.0, -2.0)],
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+        };
+        let (field, middle) = HeightField::of_mesh(&mesh, 16).unwrap();
+        assert_eq!((field.size, middle), (vec2(8.0, 4.0), vec3(10.0, 0.0, -5.0)));
+        for index in 0..field.heights.len() {
+            let point = field.point(index);
+            // Points at the edge are looked at a hair within it.
+            assert!((point.y - 0.25 * point.x).abs() < 1e-3, "{point}");
+        }
+        assert!(fit_ground(&field, 6).unwrap().height_rms < 0.05);
+        mesh.positions.iter_mut().for_each(|point| point.z = 1.0);
+        assert_eq!(HeightField::of_mesh(&mesh, 16), Err(FitFailure::BadGround));
+    }
+
+    #[test]
+    fn bad_fields_are_refused() {
+        let good = field(|x, _| x);
+        assert!(fit_ground(&good, 3).is_ok());
+        assert_eq!(fit_ground(&good, 0).unwrap().spheres, []);
+        for bad in [
+            HeightField::default(),
+            HeightField { size: vec2(0.0, 1.0), ..good.clone() },
+            HeightField { columns: 34, ..good.clone() },
+            HeightField { columns: good.heights.len(), ..good.clone() },
+            HeightField { heights: vec![f32::NAN; good.heights.len()], ..good.clone() },
+        ] {
+            assert_eq!(fit_ground(&bad, 3), Err(FitFailure::BadGround));
+        }
+    }
+}
