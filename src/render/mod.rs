@@ -25,6 +25,7 @@
 //! and the camera's exposure are applied as the view is drawn, and change at no cost.
 
 mod baked;
+mod casters;
 mod coarse;
 mod density;
 mod diffusion;
@@ -37,15 +38,20 @@ mod lamp;
 mod light;
 mod lighting;
 mod lit;
+mod mesh_shadows;
 mod moments;
 mod outgoing;
 mod pair_matrix;
 #[cfg(feature = "reference")]
 mod paper;
 mod pass;
+mod placed;
 mod prepare;
 mod scattering;
+mod shadow_probes;
+mod sky;
 mod stats;
+mod surroundings;
 #[cfg(all(test, feature = "cli"))]
 mod tests;
 mod view;
@@ -53,6 +59,7 @@ mod volume;
 
 use bevy::core_pipeline::core_3d::{main_opaque_pass_3d, main_transparent_pass_3d, prepare_core_3d_depth_textures};
 use bevy::core_pipeline::schedule::{Core3d, Core3dSystems, camera_driver};
+use bevy::pbr::{MeshPipeline, MeshPipelineSystems};
 use bevy::prelude::*;
 use bevy::render::render_resource::{DownlevelFlags, PipelineCache, SpecializedRenderPipelines};
 use bevy::render::renderer::{RenderAdapter, RenderDevice, RenderGraph, RenderGraphSystems};
@@ -104,7 +111,8 @@ impl Plugin for SmokeRenderPlugin {
             .init_resource::<SmokeWork>()
             .init_gpu_resource::<prepare::SmokeCache>()
             .init_gpu_resource::<SpecializedRenderPipelines<view::ViewPass>>()
-            .add_systems(RenderStartup, init_passes)
+            .init_gpu_resource::<SpecializedRenderPipelines<mesh_shadows::MeshShadowPass>>()
+            .add_systems(RenderStartup, init_passes.after(MeshPipelineSystems))
             .add_systems(ExtractSchedule, extract::extract_smoke)
             .add_systems(
                 Render,
@@ -118,17 +126,26 @@ impl Plugin for SmokeRenderPlugin {
                     .run_if(resource_exists::<SmokePasses>),
             )
             .add_systems(
+                Render,
+                mesh_shadows::prepare_mesh_shadow_pipelines
+                    .in_set(RenderSystems::PrepareBindGroups)
+                    .after(prepare::prepare_smoke)
+                    .run_if(resource_exists::<mesh_shadows::MeshShadowPass>),
+            )
+            .add_systems(
                 RenderGraph,
                 (
                     environment::environment,
                     density::density,
                     coarse::coarse,
+                    casters::copy_casters,
                     pair_matrix::pair_matrix,
                     incident_light::incident_light,
                     scattering::scattering,
                     diffusion::diffusion,
                     outgoing::outgoing,
                     volume::volume,
+                    shadow_probes::shadow_probes,
                 )
                     .chain()
                     .in_set(RenderGraphSystems::Render)
@@ -138,7 +155,8 @@ impl Plugin for SmokeRenderPlugin {
             )
             .add_systems(
                 Core3d,
-                view::view
+                (mesh_shadows::mesh_shadows, view::view)
+                    .chain()
                     .after(main_opaque_pass_3d)
                     .before(main_transparent_pass_3d)
                     .in_set(Core3dSystems::MainPass)
@@ -169,14 +187,22 @@ pub(crate) struct SmokePasses {
     diffusion: DiffusionPass,
     outgoing: ComputePass,
     volume: ComputePass,
+    shadow_probes: ComputePass,
     #[cfg(feature = "reference")]
     paper: paper::PaperPasses,
 }
 
 impl SmokePasses {
     fn all(&self) -> impl Iterator<Item = &ComputePass> {
-        let others =
-            [&self.density, &self.coarse, &self.pair_matrix, &self.incident_light, &self.outgoing, &self.volume];
+        let others = [
+            &self.density,
+            &self.coarse,
+            &self.pair_matrix,
+            &self.incident_light,
+            &self.outgoing,
+            &self.volume,
+            &self.shadow_probes,
+        ];
         let all = self
             .environment
             .passes()
@@ -201,6 +227,7 @@ fn init_passes(
     assets: Res<AssetServer>,
     device: Res<RenderDevice>,
     adapter: Res<RenderAdapter>,
+    mesh_pipeline: Option<Res<MeshPipeline>>,
 ) {
     if let Err(missing) = check_device(&device, &adapter) {
         error!("this graphics adapter cannot draw smoke: it lacks {missing}; the rest of the app goes on without");
@@ -217,10 +244,14 @@ fn init_passes(
         diffusion: DiffusionPass::new(&shaders, &cache),
         outgoing: outgoing::pass(&shaders.outgoing, &cache),
         volume: volume::pass(&shaders.volume, &cache),
+        shadow_probes: shadow_probes::pass(&shaders.shadow_probes, &cache),
         #[cfg(feature = "reference")]
         paper: paper::PaperPasses::new(&shaders.paper, &cache),
     });
     commands.insert_resource(view::ViewPass::new(&shaders.view));
+    if let Some(pass) = mesh_shadows::MeshShadowPass::new(mesh_pipeline.as_deref(), &shaders.mesh_shadows) {
+        commands.insert_resource(pass);
+    }
 }
 
 /// What the solvers did last, read back from the GPU.
@@ -253,12 +284,14 @@ pub(crate) struct SmokeWork {
     environment: Vec<EnvironmentJob>,
     density: Vec<Job>,
     coarse: Vec<Job>,
+    copies: Vec<casters::Copy>,
     pair_matrix: Vec<Job>,
     incident_light: Vec<Job>,
     scattering: Vec<ScatteringJob>,
     diffusion: Vec<DiffusionJob>,
     outgoing: Vec<Job>,
     volume: Vec<Job>,
+    shadow_probes: Vec<Job>,
     #[cfg(feature = "reference")]
     paper: Vec<(paper::Step, Job)>,
 }

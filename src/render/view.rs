@@ -177,20 +177,24 @@ impl ViewPassKey {
             defs.push("TONEMAP_IN_SHADER".into());
             defs.push(ShaderDefVal::UInt("TONEMAPPING_LUT_TEXTURE_BINDING_INDEX".into(), 2));
             defs.push(ShaderDefVal::UInt("TONEMAPPING_LUT_SAMPLER_BINDING_INDEX".into(), 3));
-            let method = match tonemapping {
-                Tonemapping::None => "TONEMAP_METHOD_NONE",
-                Tonemapping::Reinhard => "TONEMAP_METHOD_REINHARD",
-                Tonemapping::ReinhardLuminance => "TONEMAP_METHOD_REINHARD_LUMINANCE",
-                Tonemapping::AcesFitted => "TONEMAP_METHOD_ACES_FITTED",
-                Tonemapping::AgX => "TONEMAP_METHOD_AGX",
-                Tonemapping::SomewhatBoringDisplayTransform => "TONEMAP_METHOD_SOMEWHAT_BORING_DISPLAY_TRANSFORM",
-                Tonemapping::TonyMcMapface => "TONEMAP_METHOD_TONY_MC_MAPFACE",
-                Tonemapping::BlenderFilmic => "TONEMAP_METHOD_BLENDER_FILMIC",
-                Tonemapping::KhronosPbrNeutral => "TONEMAP_METHOD_PBR_NEUTRAL",
-            };
-            defs.push(method.into());
+            defs.push(tonemapping_def(tonemapping).into());
         }
         defs
+    }
+}
+
+/// The name by which Bevy's shaders know a method of tone mapping.
+pub(super) fn tonemapping_def(tonemapping: Tonemapping) -> &'static str {
+    match tonemapping {
+        Tonemapping::None => "TONEMAP_METHOD_NONE",
+        Tonemapping::Reinhard => "TONEMAP_METHOD_REINHARD",
+        Tonemapping::ReinhardLuminance => "TONEMAP_METHOD_REINHARD_LUMINANCE",
+        Tonemapping::AcesFitted => "TONEMAP_METHOD_ACES_FITTED",
+        Tonemapping::AgX => "TONEMAP_METHOD_AGX",
+        Tonemapping::SomewhatBoringDisplayTransform => "TONEMAP_METHOD_SOMEWHAT_BORING_DISPLAY_TRANSFORM",
+        Tonemapping::TonyMcMapface => "TONEMAP_METHOD_TONY_MC_MAPFACE",
+        Tonemapping::BlenderFilmic => "TONEMAP_METHOD_BLENDER_FILMIC",
+        Tonemapping::KhronosPbrNeutral => "TONEMAP_METHOD_PBR_NEUTRAL",
     }
 }
 
