@@ -10,10 +10,13 @@
 //! | [`LitVolume`] | volume × environment | environment and moment, the medium, the volume's rotation and scale, lamps |
 //! | [`SlicedVolume`](super::lit::SlicedVolume) | lit volume, × view where the phase function is not isotropic | the lit volume; the eye in bundle space |
 
+use core::ops::Range;
+
+use bevy::camera::MainPassResolutionOverride;
 use bevy::math::{Affine3A, Vec3A};
 use bevy::platform::collections::HashMap;
 use bevy::prelude::*;
-use bevy::render::camera::ExtractedCamera;
+use bevy::render::camera::{ExtractedCamera, TemporalJitter};
 use bevy::render::render_asset::{ExtractedAssets, RenderAssets};
 use bevy::render::render_resource::{AddressMode, Buffer, FilterMode, PipelineCache, Sampler, SamplerDescriptor};
 use bevy::render::renderer::{RenderDevice, RenderQueue};
@@ -103,7 +106,17 @@ pub(super) fn prepare_smoke(
     mut smoke_cache: ResMut<SmokeCache>,
     smoke: Res<ExtractedSmoke>,
     images: Res<RenderAssets<GpuImage>>,
-    views: Query<(Entity, &ExtractedView, &ExtractedCamera, &RenderVisibleEntities), With<Camera3d>>,
+    views: Query<
+        (
+            Entity,
+            &ExtractedView,
+            &ExtractedCamera,
+            &RenderVisibleEntities,
+            Option<&TemporalJitter>,
+            Option<&MainPassResolutionOverride>,
+        ),
+        With<Camera3d>,
+    >,
     device: Res<RenderDevice>,
     queue: Res<RenderQueue>,
     pipelines: Res<PipelineCache>,
@@ -134,8 +147,9 @@ pub(super) fn prepare_smoke(
         paper_tables: &shared.paper_tables,
     };
 
-    for (view_entity, view, camera, visible) in &views {
+    for (view_entity, view, camera, visible, jitter, resolution) in &views {
         let mut drawn = Vec::new();
+        let clip_from_view = jittered(view, jitter, resolution);
         let visible = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
         for &(_, volume_entity) in visible.iter().filter(|_| ready) {
             let Some(volume) = smoke.volumes.get(&volume_entity) else {
@@ -201,10 +215,11 @@ pub(super) fn prepare_smoke(
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
-            let uniform = placed.smoke_uniform(view, eye, volume, unit * camera.exposure, glows);
+            let uniform = placed.smoke_uniform(view, clip_from_view, eye, volume, unit * camera.exposure, glows);
             if let Some(uniform) = uniform {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
-                drawn.push(ViewSmokeVolume { distance: placed.distance(view), emission, bind_group });
+                let (distance, depths) = (placed.distance(view), placed.depths(view));
+                drawn.push(ViewSmokeVolume { distance, depths, emission, bind_group });
             }
         }
         // Far to near; equal distances keep the order of their entities.
@@ -232,7 +247,7 @@ pub(super) fn prepare_smoke(
 }
 
 /// A volume's box in the world.
-struct Placed {
+pub(super) struct Placed {
     world_from_bundle: Affine3A,
     shape: GridShape,
     /// World length of a bundle unit: the cube root of the change of volume.
@@ -243,7 +258,7 @@ struct Placed {
 
 impl Placed {
     /// None where the transform flattens the box or is not finite.
-    fn new(entity: MainEntity, volume: &ExtractedVolume) -> Option<Self> {
+    pub fn new(entity: MainEntity, volume: &ExtractedVolume) -> Option<Self> {
         let world_from_bundle = volume.world_from_bundle;
         if !world_from_bundle.is_finite() {
             warn_once!("the transform of smoke volume {entity:?} is not finite: it is not drawn (said once)");
@@ -369,10 +384,20 @@ impl Placed {
         }
     }
 
+    /// Where the box ends and begins along the view's axis: Z in view space, negative ahead of the eye, ascending toward it.
+    pub fn depths(&self, view: &ExtractedView) -> Range<f32> {
+        let view_from_bundle = self.bundle_from_view(view).inverse();
+        let center = view_from_bundle.translation.z;
+        let row = Mat3::from(view_from_bundle.matrix3).row(2);
+        let reach = row.abs().dot(self.shape.half_extent());
+        center - reach..center + reach
+    }
+
     /// What the view pass needs; None where the box is off the screen.
     fn smoke_uniform(
         &self,
         view: &ExtractedView,
+        clip_from_view: Mat4,
         eye: Vec4,
         volume: &ExtractedVolume,
         radiance_scale: f32,
@@ -380,10 +405,10 @@ impl Placed {
     ) -> Option<SmokeUniform> {
         let bundle_from_view = Mat4::from(self.bundle_from_view(view));
         let half_extent = self.shape.half_extent();
-        let clip_from_bundle = view.clip_from_view * bundle_from_view.inverse();
+        let clip_from_bundle = clip_from_view * bundle_from_view.inverse();
         let rectangle = screen_rectangle(clip_from_bundle, half_extent)?;
         Some(SmokeUniform {
-            bundle_from_clip: bundle_from_view * view.clip_from_view.inverse(),
+            bundle_from_clip: bundle_from_view * clip_from_view.inverse(),
             eye,
             rectangle,
             half_extent,
@@ -418,6 +443,20 @@ fn warn_of_limits(entity: MainEntity, lighting: &LightingUniform, typical_depth:
             lighting.g
         );
     }
+}
+
+/// The projection that a view's meshes are drawn with: moved by a part of a pixel under temporal anti-aliasing.
+fn jittered(
+    view: &ExtractedView,
+    jitter: Option<&TemporalJitter>,
+    resolution: Option<&MainPassResolutionOverride>,
+) -> Mat4 {
+    let mut clip_from_view = view.clip_from_view;
+    if let Some(jitter) = jitter {
+        let size = resolution.map_or(view.viewport.zw(), |resolution| resolution.0);
+        jitter.jitter_projection(&mut clip_from_view, size.as_vec2());
+    }
+    clip_from_view
 }
 
 fn is_orthographic(view: &ExtractedView) -> bool {

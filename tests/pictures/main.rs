@@ -12,4 +12,5 @@ mod lamps;
 mod playback;
 mod scattering;
 mod scene;
+mod transparency;
 mod work;
