@@ -113,7 +113,7 @@ pub(super) fn coefficient_buffer(device: &RenderDevice) -> Buffer {
     device.create_buffer(&BufferDescriptor {
         label: Some("smoke_environment_coefficients"),
         size: COEFFICIENT_BYTES,
-        usage: BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC,
+        usage: BufferUsages::STORAGE | BufferUsages::UNIFORM | BufferUsages::COPY_DST | BufferUsages::COPY_SRC,
         mapped_at_creation: false,
     })
 }

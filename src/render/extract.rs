@@ -2,8 +2,9 @@
 
 use bevy::asset::AssetId;
 use bevy::camera::visibility::RenderLayers;
-use bevy::light::RectLight;
+use bevy::light::{NotShadowCaster, RectLight};
 use bevy::math::Affine3A;
+use bevy::mesh::skinning::SkinnedMesh;
 use bevy::platform::collections::HashMap;
 use bevy::prelude::*;
 use bevy::render::Extract;
@@ -13,10 +14,12 @@ use super::lamp::Lamp;
 use super::view::Emission;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
+use crate::occluder::SmokeOccluder;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
 use crate::playback::{Moment, SmokeMoment};
 use crate::scattering::SmokeScattering;
+use crate::shadows::SmokeShadows;
 use crate::sun::EnvironmentSuns;
 use crate::volume::SmokeVolume;
 
@@ -25,7 +28,10 @@ use crate::volume::SmokeVolume;
 pub(super) struct ExtractedSmoke {
     pub volumes: HashMap<MainEntity, ExtractedVolume>,
     pub camera_environments: HashMap<MainEntity, CameraEnvironment>,
+    pub camera_shadows: HashMap<MainEntity, CameraShadows>,
     pub lamps: Vec<Lamp>,
+    /// The spheres of all occluders: centres in the world, and radii.
+    pub spheres: Vec<Vec4>,
     pub suns: EnvironmentSuns,
 }
 
@@ -39,6 +45,8 @@ pub(super) struct ExtractedVolume {
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
     pub layers: RenderLayers,
+    /// Whether it shades meshes and other smoke.
+    pub casts: bool,
 }
 
 impl ExtractedVolume {
@@ -58,6 +66,12 @@ pub(super) struct CameraEnvironment {
     pub map: Option<CameraMap>,
     /// Bevy's ambient light, cd/m².
     pub ambient: Vec3,
+}
+
+/// What a camera wants of shadows, and what it sees.
+pub(super) struct CameraShadows {
+    pub shadows: SmokeShadows,
+    pub layers: RenderLayers,
 }
 
 /// A camera's environment map.
@@ -86,21 +100,32 @@ pub(super) fn extract_smoke(
                 &SmokeScattering,
                 &GlobalTransform,
                 Option<&RenderLayers>,
+                &InheritedVisibility,
+                Has<NotShadowCaster>,
             ),
             With<SmokeVolume>,
         >,
     >,
     #[cfg(feature = "reference")] papers: Extract<Query<&SmokePaper>>,
-    cameras: Extract<Query<(Entity, Option<&EnvironmentMapLight>, Option<&AmbientLight>), With<Camera3d>>>,
+    cameras: Extract<
+        Query<
+            (Entity, Option<&EnvironmentMapLight>, Option<&AmbientLight>, Option<&SmokeShadows>, Option<&RenderLayers>),
+            With<Camera3d>,
+        >,
+    >,
     ambient: Extract<Option<Res<GlobalAmbientLight>>>,
     suns: Extract<LampQuery<DirectionalLight>>,
     points: Extract<LampQuery<PointLight>>,
     spots: Extract<LampQuery<SpotLight>>,
     areas: Extract<Query<(), With<RectLight>>>,
     environment_suns: Extract<Res<EnvironmentSuns>>,
+    (occluders, transforms): (
+        Extract<Query<(&SmokeOccluder, &GlobalTransform, Option<&SkinnedMesh>, Option<&InheritedVisibility>)>>,
+        Extract<Query<&GlobalTransform>>,
+    ),
 ) {
     smoke.volumes.clear();
-    for (entity, moment, medium, environment, scattering, transform, layers) in &volumes {
+    for (entity, moment, medium, environment, scattering, transform, layers, visibility, no_caster) in &volumes {
         // Nothing has come yet.
         let Some(moment) = &moment.0 else { continue };
         let clamped = medium.clamped();
@@ -116,11 +141,14 @@ pub(super) fn extract_smoke(
             #[cfg(feature = "reference")]
             paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),
+            casts: visibility.get() && !no_caster,
         };
         smoke.volumes.insert(entity.into(), extracted);
     }
     smoke.camera_environments.clear();
+    smoke.camera_shadows.clear();
     smoke.lamps.clear();
+    smoke.spheres.clear();
     if smoke.volumes.is_empty() {
         return;
     }
@@ -128,7 +156,7 @@ pub(super) fn extract_smoke(
         smoke.suns = environment_suns.clone();
     }
     let global = ambient.as_ref().map_or(Vec3::ZERO, |light| radiance(light.color, light.brightness));
-    for (entity, map, ambient) in &cameras {
+    for (entity, map, ambient, shadows, layers) in &cameras {
         let map = map.map(|light| CameraMap {
             image: light.specular_map.id(),
             intensity: light.intensity,
@@ -136,12 +164,20 @@ pub(super) fn extract_smoke(
         });
         let ambient = ambient.map_or(global, |light| radiance(light.color, light.brightness));
         smoke.camera_environments.insert(entity.into(), CameraEnvironment { map, ambient });
+        let (shadows, layers) = (shadows.copied().unwrap_or_default(), layers.cloned().unwrap_or_default());
+        smoke.camera_shadows.insert(entity.into(), CameraShadows { shadows, layers });
     }
     let seen = |visibility: &InheritedVisibility| visibility.get();
     let suns = suns.iter().filter(|lamp| seen(lamp.3)).map(|(e, l, at, _, layers)| Lamp::sun(e, l, at, layers));
     let points = points.iter().filter(|lamp| seen(lamp.3)).map(|(e, l, at, _, layers)| Lamp::point(e, l, at, layers));
     let spots = spots.iter().filter(|lamp| seen(lamp.3)).map(|(e, l, at, _, layers)| Lamp::spot(e, l, at, layers));
     smoke.lamps.extend(suns.chain(points).chain(spots));
+    for (occluder, at, skin, visibility) in &occluders {
+        if visibility.is_none_or(|visibility| visibility.get()) {
+            let transform_of = |joint| transforms.get(joint).ok().map(GlobalTransform::affine);
+            smoke.spheres.extend(occluder.place(at, skin, transform_of));
+        }
+    }
     if !areas.is_empty() {
         warn_once!("smoke is not lit by RectLights: put a PointLight or SpotLight beside them (said once)");
     }

@@ -1,6 +1,6 @@
 //! Incident-light pass: environment, lamps and coarse density → light that reaches every RBF's probes straight
 //! from the environment, as spherical harmonics, the share of it that does not get through, and density columns to the
-//! lamps. Runs when light, medium or density changed.
+//! lamps. Runs when light, medium, density or what stands around changed.
 
 use bevy::prelude::*;
 use bevy::render::render_resource::binding_types::{
@@ -8,7 +8,7 @@ use bevy::render::render_resource::binding_types::{
 };
 use bevy::render::render_resource::{
     BindGroup, BindGroupLayoutEntries, Buffer, PipelineCache, Sampler, SamplerBindingType, ShaderStages,
-    TextureSampleType,
+    TextureSampleType, TextureView,
 };
 use bevy::render::renderer::{RenderContext, RenderDevice};
 use bevy::shader::Shader;
@@ -16,6 +16,7 @@ use bevy::shader::Shader;
 use super::frame::{FrameUniform, GpuSmokeFrame};
 use super::lighting::{LightingUniform, MAX_LAMPS};
 use super::pass::ComputePass;
+use super::surroundings::SurroundingsUniform;
 use super::{SmokePasses, SmokeRenderStats, SmokeWork};
 
 /// Name of the pass and its GPU span.
@@ -44,6 +45,9 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
             storage_buffer_sized(false, None),
             storage_buffer_sized(false, None),
             storage_buffer_sized(false, None),
+            uniform_buffer::<SurroundingsUniform>(false),
+            storage_buffer_read_only_sized(false, None),
+            texture_3d(TextureSampleType::Float { filterable: true }),
         ),
     );
     ComputePass::new(LABEL, &entries, shader, "gather", vec![], cache)
@@ -58,6 +62,9 @@ pub(super) struct Bindings<'a> {
     pub probes: &'a Buffer,
     pub escapes: &'a Buffer,
     pub columns: &'a Buffer,
+    pub surroundings: &'a Buffer,
+    pub spheres: &'a Buffer,
+    pub densities: &'a TextureView,
 }
 
 pub(super) fn bind(pass: &ComputePass, b: Bindings, device: &RenderDevice, cache: &PipelineCache) -> BindGroup {
@@ -74,6 +81,9 @@ pub(super) fn bind(pass: &ComputePass, b: Bindings, device: &RenderDevice, cache
             b.probes.as_entire_binding(),
             b.escapes.as_entire_binding(),
             b.columns.as_entire_binding(),
+            b.surroundings.as_entire_binding(),
+            b.spheres.as_entire_binding(),
+            b.densities,
         ),
     )
 }

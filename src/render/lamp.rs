@@ -56,6 +56,10 @@ impl Lamp {
         Self { entity: entity.into(), kind, color, transform: at.affine(), layers }
     }
 
+    pub fn is_sun(&self) -> bool {
+        matches!(self.kind, Kind::Sun)
+    }
+
     /// The lamp in a box's bundle space, and about how much light it sends there (lux); None where it sends none.
     ///
     /// `scale` is the world length of a bundle unit, `half_extent` the box's.

@@ -100,20 +100,25 @@ impl Light {
     }
 
     fn of_camera(entity: MainEntity, view: &ExtractedView, smoke: &ExtractedSmoke) -> Option<Self> {
-        let camera = view.retained_view_entity.main_entity;
-        let environment = smoke.camera_environments.get(&camera)?;
+        let environment = smoke.camera_environments.get(&view.retained_view_entity.main_entity)?;
+        if environment.map.is_none() && environment.ambient == Vec3::ZERO && smoke.lamps.is_empty() {
+            warn_once!(
+                "smoke volume {entity:?} is lit by what lights the camera's scene, but a camera that sees it has \
+                 no EnvironmentMapLight, no ambient light and no lights: the smoke is black there; add one, or \
+                 give the volume a SmokeEnvironment (said once)"
+            );
+        }
+        Self::of_view(view, smoke)
+    }
+
+    /// What lights the meshes that a view sees from all around.
+    pub fn of_view(view: &ExtractedView, smoke: &ExtractedSmoke) -> Option<Self> {
+        let environment = smoke.camera_environments.get(&view.retained_view_entity.main_entity)?;
         let same = smoke.camera_environments.iter().filter(|(_, other)| *other == environment);
         let owner = same.map(|(camera, _)| *camera).min();
         let light = match environment.map {
             Some(map) => Self::image(map.image, true, owner, map.intensity, map.rotation)?,
             None => {
-                if environment.ambient == Vec3::ZERO && smoke.lamps.is_empty() {
-                    warn_once!(
-                        "smoke volume {entity:?} is lit by what lights the camera's scene, but a camera that sees it has \
-                         no EnvironmentMapLight, no ambient light and no lights: the smoke is black there; add one, or \
-                         give the volume a SmokeEnvironment (said once)"
-                    );
-                }
                 let black = Self::coefficients(EnvironmentKey::Black, &[Vec3::ZERO; 16], 1.0);
                 Self { key: LightKey { owner, ..black.key }, ..black }
             }

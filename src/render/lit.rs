@@ -24,6 +24,7 @@ use super::paper::{PaperLight, PaperSlice};
 use super::pass::Job;
 use super::prepare::Gpu;
 use super::scattering::{self, CONTROL_BYTES, SOURCE_BYTES, STATE_BYTES, SWEEPS, ScatteringJob, StepUniform};
+use super::surroundings::Surroundings;
 use super::view::SmokeUniform;
 use super::{SmokeWork, incident_light, outgoing, pair_matrix, volume};
 use crate::density::GridShape;
@@ -43,6 +44,9 @@ pub(super) struct LitVolume {
     uniform: Cached<LightingUniform>,
     light: LightBuffers,
     incident_light: BindGroup,
+    around: AroundBuffers,
+    /// Of the surroundings, when it was lit.
+    surroundings_version: u32,
     transport: Option<Transport>,
     diffusion: Option<Diffusion>,
     /// Lit by this alone, in the place of the others.
@@ -52,6 +56,30 @@ pub(super) struct LitVolume {
     version: u32,
     pub last_used: u32,
     pub sliced: HashMap<Option<RetainedViewEntity>, SlicedVolume>,
+}
+
+/// What tells what is around the volume.
+struct AroundBuffers {
+    surroundings: Buffer,
+    spheres: Buffer,
+    densities: TextureView,
+}
+
+impl AroundBuffers {
+    fn new(light: &FrameLight) -> Self {
+        Self {
+            surroundings: light.surroundings.uniform.buffer().clone(),
+            spheres: light.surroundings.spheres.clone(),
+            densities: light.densities.clone(),
+        }
+    }
+
+    fn is_of(&self, light: &FrameLight) -> bool {
+        let FrameLight { surroundings, densities, .. } = light;
+        self.surroundings.id() == surroundings.uniform.buffer().id()
+            && self.spheres.id() == surroundings.spheres.id()
+            && self.densities.id() == densities.id()
+    }
 }
 
 /// The light at the probes, and what the RBFs see of each other.
@@ -130,6 +158,10 @@ impl<T: ShaderType + WriteInto + Clone + PartialEq> Cached<T> {
         true
     }
 
+    pub fn value(&self) -> &T {
+        &self.value
+    }
+
     pub fn buffer(&self) -> &Buffer {
         self.buffer.buffer().expect("written when it was made")
     }
@@ -141,6 +173,9 @@ pub(super) struct FrameLight<'a> {
     pub coefficients: &'a Buffer,
     pub environment_version: u32,
     pub uniform: LightingUniform,
+    pub surroundings: &'a Surroundings,
+    /// The densities of all casters.
+    pub densities: &'a TextureView,
     pub choice: ScatteringChoice,
     /// How it is solved for.
     pub solver: ScatteringSolver,
@@ -160,6 +195,7 @@ impl LitVolume {
             rows: buffer("smoke_pair_rows", ROW_BYTES),
         };
         let uniform = Cached::new(light.uniform.clone(), gpu);
+        let around = AroundBuffers::new(light);
         let bindings = incident_light::Bindings {
             frame,
             lighting: uniform.buffer(),
@@ -168,6 +204,9 @@ impl LitVolume {
             probes: &buffers.probes,
             escapes: &buffers.escapes,
             columns: &buffers.columns,
+            surroundings: &around.surroundings,
+            spheres: &around.spheres,
+            densities: &around.densities,
         };
         #[cfg(feature = "reference")]
         let paper = light.paper.map(|settings| {
@@ -186,6 +225,8 @@ impl LitVolume {
             environment_version: 0,
             uniform,
             light: buffers,
+            around,
+            surroundings_version: light.surroundings.version,
             transport: None,
             diffusion: None,
             version: 0,
@@ -196,7 +237,8 @@ impl LitVolume {
 
     /// Whether this is of the frame's buffers, and of coefficients that have not been let go since.
     pub fn is_of(&self, frame: &GpuSmokeFrame, light: &FrameLight) -> bool {
-        let same = self.frame == frame.uniform.id() && self.environment == light.coefficients.id();
+        let same =
+            self.frame == frame.uniform.id() && self.environment == light.coefficients.id() && self.around.is_of(light);
         #[cfg(feature = "reference")]
         let same = same && self.paper.is_some() == light.paper.is_some();
         same
@@ -229,8 +271,12 @@ impl LitVolume {
         let environment_from_bundle = light.uniform.environment_from_bundle;
         let moved = self.frame_version != frame.version;
         self.frame_version = frame.version;
-        let mut changed =
-            self.uniform.set(light.uniform, gpu) | moved | (self.environment_version != light.environment_version);
+        let surrounded = self.surroundings_version != light.surroundings.version;
+        self.surroundings_version = light.surroundings.version;
+        let mut changed = self.uniform.set(light.uniform, gpu)
+            | moved
+            | surrounded
+            | (self.environment_version != light.environment_version);
         #[cfg(feature = "reference")]
         if let (Some(paper), Some(settings)) = (&mut self.paper, light.paper) {
             changed |= paper.set(settings, light.choice.multiple, environment_from_bundle, gpu);
@@ -429,6 +475,8 @@ impl SlicedVolume {
             outgoing: &outgoing,
             shades: &shades,
             volume: &texture,
+            surroundings: &lit.around.surroundings,
+            spheres: &lit.around.spheres,
         };
         Self {
             #[cfg(feature = "reference")]

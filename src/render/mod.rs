@@ -26,6 +26,7 @@
 //! and the camera's exposure are applied as the view is drawn, and change at no cost.
 
 mod baked;
+mod casters;
 mod coarse;
 mod density;
 mod diffusion;
@@ -38,16 +39,21 @@ mod lamp;
 mod light;
 mod lighting;
 mod lit;
+mod mesh_shadows;
 mod moments;
 mod outgoing;
 mod pair_matrix;
 #[cfg(feature = "reference")]
 mod paper;
 mod pass;
+mod placed;
 mod prepare;
 mod scattering;
+mod shadow_probes;
+mod sky;
 mod slabs;
 mod stats;
+mod surroundings;
 #[cfg(all(test, feature = "cli"))]
 mod tests;
 mod view;
@@ -57,7 +63,7 @@ use bevy::core_pipeline::core_3d::{
     Transparent3d, main_opaque_pass_3d, main_transparent_pass_3d, prepare_core_3d_depth_textures,
 };
 use bevy::core_pipeline::schedule::{Core3d, Core3dSystems, camera_driver};
-use bevy::pbr::main_transmissive_pass_3d;
+use bevy::pbr::{MeshPipeline, MeshPipelineSystems, main_transmissive_pass_3d};
 use bevy::prelude::*;
 use bevy::render::render_phase::{DrawFunctions, sort_phase_system};
 use bevy::render::render_resource::{DownlevelFlags, PipelineCache, SpecializedRenderPipelines};
@@ -110,7 +116,8 @@ impl Plugin for SmokeRenderPlugin {
             .init_resource::<SmokeWork>()
             .init_gpu_resource::<prepare::SmokeCache>()
             .init_gpu_resource::<SpecializedRenderPipelines<view::ViewPass>>()
-            .add_systems(RenderStartup, init_passes)
+            .init_gpu_resource::<SpecializedRenderPipelines<mesh_shadows::MeshShadowPass>>()
+            .add_systems(RenderStartup, init_passes.after(MeshPipelineSystems))
             .add_systems(ExtractSchedule, extract::extract_smoke)
             .add_systems(
                 Render,
@@ -128,17 +135,26 @@ impl Plugin for SmokeRenderPlugin {
                     .run_if(resource_exists::<SmokePasses>),
             )
             .add_systems(
+                Render,
+                mesh_shadows::prepare_mesh_shadow_pipelines
+                    .in_set(RenderSystems::PrepareBindGroups)
+                    .after(prepare::prepare_smoke)
+                    .run_if(resource_exists::<mesh_shadows::MeshShadowPass>),
+            )
+            .add_systems(
                 RenderGraph,
                 (
                     environment::environment,
                     density::density,
                     coarse::coarse,
+                    casters::copy_casters,
                     pair_matrix::pair_matrix,
                     incident_light::incident_light,
                     scattering::scattering,
                     diffusion::diffusion,
                     outgoing::outgoing,
                     volume::volume,
+                    shadow_probes::shadow_probes,
                 )
                     .chain()
                     .in_set(RenderGraphSystems::Render)
@@ -148,7 +164,8 @@ impl Plugin for SmokeRenderPlugin {
             )
             .add_systems(
                 Core3d,
-                view::view
+                (mesh_shadows::mesh_shadows, view::view)
+                    .chain()
                     .after(main_opaque_pass_3d)
                     // What is behind glass is seen through it.
                     .before(main_transmissive_pass_3d)
@@ -181,14 +198,22 @@ pub(crate) struct SmokePasses {
     diffusion: DiffusionPass,
     outgoing: ComputePass,
     volume: ComputePass,
+    shadow_probes: ComputePass,
     #[cfg(feature = "reference")]
     paper: paper::PaperPasses,
 }
 
 impl SmokePasses {
     fn all(&self) -> impl Iterator<Item = &ComputePass> {
-        let others =
-            [&self.density, &self.coarse, &self.pair_matrix, &self.incident_light, &self.outgoing, &self.volume];
+        let others = [
+            &self.density,
+            &self.coarse,
+            &self.pair_matrix,
+            &self.incident_light,
+            &self.outgoing,
+            &self.volume,
+            &self.shadow_probes,
+        ];
         let all = self
             .environment
             .passes()
@@ -214,6 +239,7 @@ fn init_passes(
     device: Res<RenderDevice>,
     adapter: Res<RenderAdapter>,
     draw_functions: Res<DrawFunctions<Transparent3d>>,
+    mesh_pipeline: Option<Res<MeshPipeline>>,
 ) {
     if let Err(missing) = check_device(&device, &adapter) {
         error!("this graphics adapter cannot draw smoke: it lacks {missing}; the rest of the app goes on without");
@@ -230,11 +256,15 @@ fn init_passes(
         diffusion: DiffusionPass::new(&shaders, &cache),
         outgoing: outgoing::pass(&shaders.outgoing, &cache),
         volume: volume::pass(&shaders.volume, &cache),
+        shadow_probes: shadow_probes::pass(&shaders.shadow_probes, &cache),
         #[cfg(feature = "reference")]
         paper: paper::PaperPasses::new(&shaders.paper, &cache),
     });
     commands.insert_resource(view::ViewPass::new(&shaders.view));
     draw_functions.write().add(slabs::DrawSlab);
+    if let Some(pass) = mesh_shadows::MeshShadowPass::new(mesh_pipeline.as_deref(), &shaders.mesh_shadows) {
+        commands.insert_resource(pass);
+    }
 }
 
 /// What the solvers did last, read back from the GPU.
@@ -267,12 +297,14 @@ pub(crate) struct SmokeWork {
     environment: Vec<EnvironmentJob>,
     density: Vec<Job>,
     coarse: Vec<Job>,
+    copies: Vec<casters::Copy>,
     pair_matrix: Vec<Job>,
     incident_light: Vec<Job>,
     scattering: Vec<ScatteringJob>,
     diffusion: Vec<DiffusionJob>,
     outgoing: Vec<Job>,
     volume: Vec<Job>,
+    shadow_probes: Vec<Job>,
     #[cfg(feature = "reference")]
     paper: Vec<(paper::Step, Job)>,
 }

@@ -30,7 +30,7 @@ use bevy::render::view::{ExtractedView, RenderVisibleEntities, ViewDepthTexture,
 
 use super::SmokeRenderStats;
 use super::extract::ExtractedSmoke;
-use super::prepare::Placed;
+use super::placed::Placed;
 use super::view::{ToneMappingTables, ViewSmoke, ViewSmokePipelines};
 use crate::volume::SmokeVolume;
 

@@ -9,7 +9,7 @@ use bevy::render::sync_world::MainEntity;
 use super::pass::DispatchCounter;
 use crate::scattering::ScatteringChoice;
 
-const PASS_COUNT: usize = 10 + cfg!(feature = "reference") as usize;
+const PASS_COUNT: usize = 12 + cfg!(feature = "reference") as usize;
 
 /// How many dispatches (and draws) each pass has made since the app started, in both worlds: the renderer counts, the
 /// main world reads. The scattering and the diffusion pass count their solves, each of which is many dispatches. GPU times
@@ -28,6 +28,8 @@ pub struct SmokeRenderStats {
     pub(crate) volume: DispatchCounter,
     #[cfg(feature = "reference")]
     pub(crate) paper: DispatchCounter,
+    pub(crate) shadow_probes: DispatchCounter,
+    pub(crate) mesh_shadows: DispatchCounter,
     pub(crate) view: DispatchCounter,
     memory: Arc<Mutex<SmokeMemory>>,
     scattering_choices: Arc<Mutex<EntityHashMap<ScatteringChoice>>>,
@@ -59,6 +61,8 @@ impl SmokeRenderStats {
         super::volume::LABEL,
         #[cfg(feature = "reference")]
         super::paper::LABEL,
+        super::shadow_probes::LABEL,
+        super::mesh_shadows::LABEL,
         super::view::LABEL,
     ];
 
@@ -105,6 +109,8 @@ impl SmokeRenderStats {
             &self.volume,
             #[cfg(feature = "reference")]
             &self.paper,
+            &self.shadow_probes,
+            &self.mesh_shadows,
             &self.view,
         ]
         .map(DispatchCounter::get)

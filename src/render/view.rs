@@ -98,7 +98,7 @@ pub(super) struct ViewSmoke(pub Vec<ViewSmokeVolume>);
 /// A volume that a view draws.
 pub(super) struct ViewSmokeVolume {
     pub distance: f32,
-    /// Where its box begins and ends along the view's axis, as [`Placed::depths`](super::prepare::Placed::depths).
+    /// Where its box begins and ends along the view's axis, as [`Placed::depths`](super::placed::Placed::depths).
     pub depths: Range<f32>,
     pub emission: Emission,
     pub bind_group: BindGroup,
@@ -202,20 +202,24 @@ impl ViewPassKey {
             defs.push("TONEMAP_IN_SHADER".into());
             defs.push(ShaderDefVal::UInt("TONEMAPPING_LUT_TEXTURE_BINDING_INDEX".into(), LUT_BINDING));
             defs.push(ShaderDefVal::UInt("TONEMAPPING_LUT_SAMPLER_BINDING_INDEX".into(), LUT_BINDING + 1));
-            let method = match tonemapping {
-                Tonemapping::None => "TONEMAP_METHOD_NONE",
-                Tonemapping::Reinhard => "TONEMAP_METHOD_REINHARD",
-                Tonemapping::ReinhardLuminance => "TONEMAP_METHOD_REINHARD_LUMINANCE",
-                Tonemapping::AcesFitted => "TONEMAP_METHOD_ACES_FITTED",
-                Tonemapping::AgX => "TONEMAP_METHOD_AGX",
-                Tonemapping::SomewhatBoringDisplayTransform => "TONEMAP_METHOD_SOMEWHAT_BORING_DISPLAY_TRANSFORM",
-                Tonemapping::TonyMcMapface => "TONEMAP_METHOD_TONY_MC_MAPFACE",
-                Tonemapping::BlenderFilmic => "TONEMAP_METHOD_BLENDER_FILMIC",
-                Tonemapping::KhronosPbrNeutral => "TONEMAP_METHOD_PBR_NEUTRAL",
-            };
-            defs.push(method.into());
+            defs.push(tonemapping_def(tonemapping).into());
         }
         defs
+    }
+}
+
+/// The name by which Bevy's shaders know a method of tone mapping.
+pub(super) fn tonemapping_def(tonemapping: Tonemapping) -> &'static str {
+    match tonemapping {
+        Tonemapping::None => "TONEMAP_METHOD_NONE",
+        Tonemapping::Reinhard => "TONEMAP_METHOD_REINHARD",
+        Tonemapping::ReinhardLuminance => "TONEMAP_METHOD_REINHARD_LUMINANCE",
+        Tonemapping::AcesFitted => "TONEMAP_METHOD_ACES_FITTED",
+        Tonemapping::AgX => "TONEMAP_METHOD_AGX",
+        Tonemapping::SomewhatBoringDisplayTransform => "TONEMAP_METHOD_SOMEWHAT_BORING_DISPLAY_TRANSFORM",
+        Tonemapping::TonyMcMapface => "TONEMAP_METHOD_TONY_MC_MAPFACE",
+        Tonemapping::BlenderFilmic => "TONEMAP_METHOD_BLENDER_FILMIC",
+        Tonemapping::KhronosPbrNeutral => "TONEMAP_METHOD_PBR_NEUTRAL",
     }
 }
 
@@ -388,8 +392,8 @@ pub(super) fn prepare_depth_usages(mut cameras: Query<(&mut Camera3d, Has<ViewSl
         return;
     }
     for (mut camera, has_slabs) in &mut cameras {
-        let usage = if has_slabs { TextureUsages::COPY_SRC } else { TextureUsages::TEXTURE_BINDING };
-        camera.depth_texture_usages.0 |= usage.bits();
+        let copied = if has_slabs { TextureUsages::COPY_SRC } else { TextureUsages::empty() };
+        camera.depth_texture_usages.0 |= (TextureUsages::TEXTURE_BINDING | copied).bits();
     }
 }
 

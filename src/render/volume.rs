@@ -16,6 +16,7 @@ use super::frame::{FILTERED_FORMAT, FrameUniform, GpuSmokeFrame};
 use super::lighting::LightingUniform;
 use super::outgoing::LookUniform;
 use super::pass::ComputePass;
+use super::surroundings::SurroundingsUniform;
 use super::{SmokePasses, SmokeRenderStats, SmokeWork};
 use crate::density::GridShape;
 
@@ -37,6 +38,8 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
             storage(),
             texture_3d(TextureSampleType::Float { filterable: false }),
             texture_storage_3d(FILTERED_FORMAT, StorageTextureAccess::WriteOnly),
+            uniform_buffer::<SurroundingsUniform>(false),
+            storage(),
         ),
     );
     ComputePass::new(LABEL, &entries, shader, "reconstruct", vec![], cache)
@@ -50,6 +53,8 @@ pub(super) struct Bindings<'a> {
     pub outgoing: &'a Buffer,
     pub shades: &'a Buffer,
     pub volume: &'a TextureView,
+    pub surroundings: &'a Buffer,
+    pub spheres: &'a Buffer,
 }
 
 pub(super) fn bind(pass: &ComputePass, b: Bindings, device: &RenderDevice, cache: &PipelineCache) -> BindGroup {
@@ -67,6 +72,8 @@ pub(super) fn bind(pass: &ComputePass, b: Bindings, device: &RenderDevice, cache
             b.shades.as_entire_binding(),
             &b.frame.density,
             b.volume,
+            b.surroundings.as_entire_binding(),
+            b.spheres.as_entire_binding(),
         ),
     )
 }

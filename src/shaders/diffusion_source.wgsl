@@ -40,7 +40,8 @@ fn fit(@builtin(global_invocation_id) id: vec3<u32>) {
         let point = probe_position(rbf.center, r, i);
         for (var j = 0u; j < lighting.lamp_count; j++) {
             let lamp = arriving_from(lighting.lamps[j], point, lighting.softening);
-            let kept = exp(-lighting.sigma * columns[probe * MAX_LAMPS + j]);
+            let column = columns[probe * MAX_LAMPS + j];
+            let kept = select(exp(-lighting.sigma * column), vec3(0.0), column < 0.0);
             light += lamp.irradiance * kept * basis(lamp.direction)[k];
         }
         values[i] = vec4(lighting.scatter[band(k)].rgb * light, 0.0);

@@ -2,13 +2,19 @@
 // a probe, one thread a direction. Each thread takes the environment's radiance along its direction, attenuated by the
 // optical depth through the coarse density grid; the workgroup projects the result to SH:
 //     L_d,k = (4 pi / N) sum_j L(w_j) exp(-tau_j) y_k(w_j).
+// Around the smoke, other smoke adds to the optical depth, and spheres hide a part of the cone about each direction.
 // Beside it: the share of light from all around that gets through, mean exp(-tau_j), a grey exp(-tau) as SH, and the
 // density columns to the lamps.
+#import bevy_smoke::casters::{crossing, optical_depth}
 #import bevy_smoke::frame::{Frame, Rbf}
 #import bevy_smoke::sh::{basis, SH_COEFFICIENTS}
 #import bevy_smoke::lighting::{Lighting, arriving_from, probe_position, probe_reach, DIRECTIONS, MAX_LAMPS, PI, PROBES}
 
+#import bevy_smoke::occluders::{Surroundings, hides}
+
 const MARCH_STEPS: u32 = 20u;
+// Steps through other smoke.
+const OTHER_STEPS: u32 = 16u;
 const GOLDEN_ANGLE: f32 = 2.39996322972865;
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -21,8 +27,13 @@ const GOLDEN_ANGLE: f32 = 2.39996322972865;
 @group(0) @binding(6) var<storage, read_write> probes: array<vec4<f32>>;
 // The share that gets through, one a probe.
 @group(0) @binding(7) var<storage, read_write> escapes: array<vec4<f32>>;
-// Scaled density times bundle length, MAX_LAMPS a probe.
+// Scaled density times bundle length, MAX_LAMPS a probe; other smoke's as if it were this. Below 0 where a sphere hides the
+// lamp.
 @group(0) @binding(8) var<storage, read_write> columns: array<f32>;
+@group(0) @binding(9) var<uniform> surroundings: Surroundings;
+@group(0) @binding(10) var<storage, read> spheres: array<vec4<f32>>;
+// The casters' densities.
+@group(0) @binding(11) var densities: texture_3d<f32>;
 
 // Fibonacci directions, y up.
 fn direction(j: u32) -> vec3<f32> {
@@ -68,6 +79,48 @@ fn environment_radiance(towards: vec3<f32>) -> vec3<f32> {
     return radiance * lighting.environment_scale + lighting.ambient;
 }
 
+// Optical depth of other smoke.
+fn other_depth(point: vec3<f32>, towards: vec3<f32>, distance: f32) -> f32 {
+    var tau = 0.0;
+    for (var i = 0u; i < surroundings.caster_count; i++) {
+        let caster = surroundings.casters[i];
+        tau += optical_depth(caster, densities, coarse_sampler, crossing(caster, point, towards, distance), OTHER_STEPS);
+    }
+    return tau;
+}
+
+// From the middle of a direction's cone, 1/64 of all, to that of a quarter of it.
+const QUARTER: f32 = 0.13;
+
+// The share of a direction's cone that no sphere hides, in quarters.
+fn unhidden(point: vec3<f32>, towards: vec3<f32>) -> f32 {
+    let x = normalize(select(cross(towards, vec3(1.0, 0.0, 0.0)), cross(towards, vec3(0.0, 1.0, 0.0)), abs(towards.x) > 0.7));
+    let y = cross(towards, x);
+    let quarters = array<vec3<f32>, 4>(
+        normalize(towards + QUARTER * x),
+        normalize(towards + QUARTER * y),
+        normalize(towards - QUARTER * x),
+        normalize(towards - QUARTER * y),
+    );
+    var seen = vec4(1.0);
+    for (var i = 0u; i < surroundings.sphere_count; i++) {
+        let sphere = spheres[i];
+        for (var j = 0u; j < 4u; j++) {
+            seen[j] = select(seen[j], 0.0, hides(sphere, point, quarters[j], 1e30));
+        }
+    }
+    return dot(seen, vec4(0.25));
+}
+
+fn is_hidden(point: vec3<f32>, towards: vec3<f32>, distance: f32) -> bool {
+    for (var i = 0u; i < surroundings.sphere_count; i++) {
+        if hides(spheres[i], point, towards, distance) {
+            return true;
+        }
+    }
+    return false;
+}
+
 // Light in a direction, and grey transmittance in alpha.
 var<workgroup> arriving: array<vec4<f32>, DIRECTIONS>;
 var<workgroup> escaping: array<vec3<f32>, DIRECTIONS>;
@@ -85,12 +138,21 @@ fn gather(
     let towards = direction(thread);
     let met = column(point, towards, 1e30);
     let kept = exp(-lighting.sigma * met);
-    arriving[thread] = vec4(environment_radiance(towards) * kept, exp(-lighting.sigma_mean * met));
+    var radiance = environment_radiance(towards) * kept * exp(-other_depth(point, towards, 1e30));
+    if surroundings.sphere_count > 0u {
+        radiance *= unhidden(point, towards);
+    }
+    arriving[thread] = vec4(radiance, exp(-lighting.sigma_mean * met));
     escaping[thread] = kept;
     bases[thread] = basis(towards);
     if thread < lighting.lamp_count {
         let light = arriving_from(lighting.lamps[thread], point, lighting.softening);
-        columns[probe * MAX_LAMPS + thread] = column(point, light.direction, light.distance);
+        var to_lamp = column(point, light.direction, light.distance);
+        if surroundings.caster_count > 0u {
+            to_lamp += other_depth(point, light.direction, light.distance) / max(lighting.sigma_mean, 1e-6);
+        }
+        let hidden = is_hidden(point, light.direction, light.distance);
+        columns[probe * MAX_LAMPS + thread] = select(to_lamp, -max(to_lamp, 1e-20), hidden);
     }
     workgroupBarrier();
     if thread < SH_COEFFICIENTS {

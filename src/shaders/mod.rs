@@ -6,10 +6,12 @@ use bevy::shader::{Shader, load_shader_library};
 
 /// Registers every shader as an embedded asset.
 pub(crate) fn embed(app: &mut App) {
+    load_shader_library!(app, "casters.wgsl");
     load_shader_library!(app, "diffusion.wgsl");
     load_shader_library!(app, "footprint.wgsl");
     load_shader_library!(app, "frame.wgsl");
     load_shader_library!(app, "lighting.wgsl");
+    load_shader_library!(app, "occluders.wgsl");
     load_shader_library!(app, "scattering.wgsl");
     load_shader_library!(app, "sh.wgsl");
     load_shader_library!(app, "sum.wgsl");
@@ -26,6 +28,8 @@ pub(crate) fn embed(app: &mut App) {
     embedded_asset!(app, "diffusion_scatter.wgsl");
     embedded_asset!(app, "outgoing.wgsl");
     embedded_asset!(app, "volume.wgsl");
+    embedded_asset!(app, "shadow_probes.wgsl");
+    embedded_asset!(app, "mesh_shadows.wgsl");
     embedded_asset!(app, "view.wgsl");
     #[cfg(feature = "reference")]
     {
@@ -54,6 +58,8 @@ pub(crate) struct Shaders {
     pub diffusion_scatter: Handle<Shader>,
     pub outgoing: Handle<Shader>,
     pub volume: Handle<Shader>,
+    pub shadow_probes: Handle<Shader>,
+    pub mesh_shadows: Handle<Shader>,
     pub view: Handle<Shader>,
     #[cfg(feature = "reference")]
     pub paper: PaperShaders,
@@ -86,6 +92,8 @@ impl Shaders {
             diffusion_scatter: load_embedded_asset!(assets, "diffusion_scatter.wgsl"),
             outgoing: load_embedded_asset!(assets, "outgoing.wgsl"),
             volume: load_embedded_asset!(assets, "volume.wgsl"),
+            shadow_probes: load_embedded_asset!(assets, "shadow_probes.wgsl"),
+            mesh_shadows: load_embedded_asset!(assets, "mesh_shadows.wgsl"),
             view: load_embedded_asset!(assets, "view.wgsl"),
             #[cfg(feature = "reference")]
             paper: PaperShaders {
@@ -122,13 +130,15 @@ mod tests {
     fn validate(name: &str, source: &str, defs: &[&str]) {
         let mut composer = Composer::default();
         let libraries = [
+            ("sh.wgsl", include_str!("sh.wgsl")),
+            ("casters.wgsl", include_str!("casters.wgsl")),
+            ("occluders.wgsl", include_str!("occluders.wgsl")),
             ("diffusion.wgsl", include_str!("diffusion.wgsl")),
             ("footprint.wgsl", include_str!("footprint.wgsl")),
             ("frame.wgsl", include_str!("frame.wgsl")),
             ("lighting.wgsl", include_str!("lighting.wgsl")),
             ("paper.wgsl", include_str!("paper.wgsl")),
             ("scattering.wgsl", include_str!("scattering.wgsl")),
-            ("sh.wgsl", include_str!("sh.wgsl")),
             ("sum.wgsl", include_str!("sum.wgsl")),
             ("bevy view", BEVY_VIEW),
             ("bevy tonemapping", BEVY_TONEMAPPING),
@@ -176,6 +186,7 @@ mod tests {
         validate("diffusion_scatter.wgsl", include_str!("diffusion_scatter.wgsl"), &[]);
         validate("outgoing.wgsl", include_str!("outgoing.wgsl"), &[]);
         validate("volume.wgsl", include_str!("volume.wgsl"), &[]);
+        validate("shadow_probes.wgsl", include_str!("shadow_probes.wgsl"), &[]);
         validate("paper_single.wgsl", include_str!("paper_single.wgsl"), &[]);
         validate("paper_system.wgsl", include_str!("paper_system.wgsl"), &[]);
         validate("paper_solve.wgsl", include_str!("paper_solve.wgsl"), &[]);

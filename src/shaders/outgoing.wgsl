@@ -102,7 +102,8 @@ fn leave(@builtin(global_invocation_id) id: vec3<u32>) {
         var column: array<vec4<f32>, PROBES>;
         for (var i = 0u; i < PROBES; i++) {
             let at = (l * PROBES + i) * MAX_LAMPS + 4u * s;
-            column[i] = vec4(columns[at], columns[at + 1u], columns[at + 2u], columns[at + 3u]);
+            // What hides a lamp is looked for at every cell, not here.
+            column[i] = abs(vec4(columns[at], columns[at + 1u], columns[at + 2u], columns[at + 3u]));
         }
         shades[2u * l + s] = fit(&column, reach);
     }

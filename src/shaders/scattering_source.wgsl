@@ -36,7 +36,8 @@ fn lamp_light(l: u32, rbf: Rbf, lamp: Lamp, j: u32, k: u32) -> vec3<f32> {
         let reach = probe_reach(rbf, lighting.sigma_mean, frame.density_scale);
         let point = probe_position(rbf.center, reach, i);
         let seen = arriving_from(lamp, point, lighting.softening);
-        let kept = exp(-lighting.sigma * columns[(l * PROBES + i) * MAX_LAMPS + j]);
+        let column = columns[(l * PROBES + i) * MAX_LAMPS + j];
+        let kept = select(exp(-lighting.sigma * column), vec3(0.0), column < 0.0);
         light += seen.irradiance * kept * basis(seen.direction)[k];
         inverse_squares += 1.0 / (seen.distance * seen.distance + lighting.softening);
     }

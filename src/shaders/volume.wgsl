@@ -1,9 +1,11 @@
 // Reconstructs the source radiance at every cell, padded by one cell on each side:
 //     J(x) = max(0, sum_l phi_l J_l(x) / sum_l phi_l),   phi = w (exp(-u^2) + tail),   J_l the quadratic fit,
 // and, for every lamp, albedo times phase times its irradiance after exp(-sigma column), with columns interpolated by the
-// same formula: transmittance falls exponentially where smoke is thick, columns grow evenly. Beside it the density.
+// same formula: transmittance falls exponentially where smoke is thick, columns grow evenly. A lamp behind a sphere lights
+// nothing. Beside it the density.
 #import bevy_smoke::frame::{Frame, Rbf, MAX_HALF, bin_index, cell_center}
 #import bevy_smoke::lighting::{Arriving, Lighting, Fit, arriving_from, phase, probe_reach, value_of, weight_at, PI, REACH}
+#import bevy_smoke::occluders::{Surroundings, hides}
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<uniform> lighting: Lighting;
@@ -17,6 +19,8 @@
 @group(0) @binding(8) var density: texture_3d<f32>;
 // RGB: source radiance; alpha: scaled density.
 @group(0) @binding(9) var volume: texture_storage_3d<rgba16float, write>;
+@group(0) @binding(10) var<uniform> surroundings: Surroundings;
+@group(0) @binding(11) var<storage, read> spheres: array<vec4<f32>>;
 
 // Whether a trilinear read that touches this cell can meet any density.
 fn near_density(cell: vec3<i32>) -> bool {
@@ -34,7 +38,16 @@ fn near_density(cell: vec3<i32>) -> bool {
     return false;
 }
 
-// A fit at an offset from its centre.
+// Whether a sphere stands between a cell and a lamp.
+fn is_hidden(point: vec3<f32>, light: Arriving) -> bool {
+    for (var i = 0u; i < surroundings.sphere_count; i++) {
+        if hides(spheres[i], point, light.direction, light.distance) {
+            return true;
+        }
+    }
+    return false;
+}
+
 // RBFs hold what falls with the distance from a lamp down to one over this many radii, by measurement.
 const HELD: f32 = 0.6;
 
@@ -89,6 +102,9 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
     let look = select(eye.xyz, (x - eye.xyz) / max(length(x - eye.xyz), 1e-9), eye.w > 0.0);
     for (var i = 0u; i < lighting.lamp_count; i++) {
         let light = arriving_from(lighting.lamps[i], x, lighting.softening);
+        if is_hidden(x, light) {
+            continue;
+        }
         let column = max(columns[i / 4u][i % 4u] * normalize_by, 0.0);
         // Light travels from the lamp, and on toward the eye: both against these two.
         let scattered = lighting.scatter[0].rgb * phase(dot(light.direction, look), lighting.g);

@@ -12,5 +12,6 @@ mod lamps;
 mod playback;
 mod scattering;
 mod scene;
+mod shadows;
 mod transparency;
 mod work;

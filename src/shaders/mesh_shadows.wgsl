@@ -1,0 +1,264 @@
+// Shades the opaque meshes of a view by the smoke around them: multiplies what is drawn so far by
+//     (E_sky + sum E_light exp(-tau)) / (E_sky,clear + sum E_light),
+// irradiances on each pixel's surface with and without the smoke. E_sky is the environment's less what the shadow probes
+// say that smoke takes of it; E_light that of Bevy's own lights behind Bevy's own shadow maps.
+#import bevy_pbr::clustered_forward as clustering
+#import bevy_pbr::mesh_view_bindings as view_bindings
+#import bevy_pbr::mesh_view_types::{DIRECTIONAL_LIGHT_FLAGS_SHADOWS_ENABLED_BIT, POINT_LIGHT_FLAGS_SHADOWS_ENABLED_BIT, POINT_LIGHT_FLAGS_SPOT_LIGHT_Y_NEGATIVE}
+#import bevy_pbr::shadows::{fetch_directional_shadow, fetch_point_shadow, fetch_spot_shadow}
+#import bevy_smoke::casters::{Caster, Sky, crossing, missing_irradiance, optical_depth, shadow_probe_texel, sky_irradiance, MAX_CASTERS, PROBES, PROBE_TEXELS}
+#ifdef TONEMAP_IN_SHADER
+#import bevy_core_pipeline::tonemapping::tone_mapping
+#endif
+
+struct MeshShadows {
+    sky: Sky,
+    caster_count: u32,
+    // Directional lights of the view, at most.
+    sun_count: u32,
+    casters: array<Caster, MAX_CASTERS>,
+}
+
+@group(2) @binding(0) var<uniform> scene: MeshShadows;
+@group(2) @binding(1) var<uniform> environment: array<vec4<f32>, 16>;
+#ifdef MULTISAMPLED
+@group(2) @binding(2) var depth_texture: texture_depth_multisampled_2d;
+#else
+@group(2) @binding(2) var depth_texture: texture_depth_2d;
+#endif
+@group(2) @binding(3) var densities: texture_3d<f32>;
+@group(2) @binding(4) var shadow_probes: texture_3d<f32>;
+@group(2) @binding(5) var linear: sampler;
+
+// Radiance of a surface that reflects 18 % over its irradiance.
+const GREY: f32 = 0.18 / 3.14159265;
+
+// Steps through a caster's coarse grid toward a light.
+const STEPS: u32 = 24u;
+
+struct Vertex {
+    @builtin(position) position: vec4<f32>,
+    @location(0) @interpolate(flat) sample: u32,
+    // Bounds of loops, which a uniform must not give the fragment shader: see `view.wgsl`.
+    @location(1) @interpolate(flat) caster_count: u32,
+    @location(2) @interpolate(flat) sun_count: u32,
+}
+
+@vertex
+fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) sample: u32) -> Vertex {
+    let corner = vec2(f32(index >> 1u), f32(index & 1u)) * 4.0 - 1.0;
+    return Vertex(vec4(corner, 0.0, 1.0), sample, scene.caster_count, scene.sun_count);
+}
+
+fn depth_at(pixel: vec2<i32>, sample: u32) -> f32 {
+#ifdef MULTISAMPLED
+    return textureLoad(depth_texture, pixel, i32(sample));
+#else
+    return textureLoad(depth_texture, pixel, 0);
+#endif
+}
+
+fn world_position(pixel: vec2<f32>, depth: f32) -> vec3<f32> {
+    let uv = (pixel - view_bindings::view.viewport.xy) / view_bindings::view.viewport.zw;
+    let world = view_bindings::view.world_from_clip * vec4(uv * vec2(2.0, -2.0) + vec2(-1.0, 1.0), depth, 1.0);
+    return world.xyz / world.w;
+}
+
+// From a pixel's surface to that of its nearer neighbour along an axis: across the edge of a mesh there is no slope.
+fn slope(point: vec3<f32>, pixel: vec2<f32>, axis: vec2<f32>, sample: u32) -> vec3<f32> {
+    let ahead = world_position(pixel + axis, depth_at(vec2<i32>(pixel + axis), sample)) - point;
+    let behind = point - world_position(pixel - axis, depth_at(vec2<i32>(pixel - axis), sample));
+    return select(ahead, behind, dot(behind, behind) < dot(ahead, ahead));
+}
+
+// The normal of the surface that a pixel shows, toward the eye.
+fn surface_normal(point: vec3<f32>, pixel: vec2<f32>, sample: u32) -> vec3<f32> {
+#ifdef NORMAL_PREPASS
+#ifdef MULTISAMPLED
+    let stored = textureLoad(view_bindings::normal_prepass_texture, vec2<i32>(pixel), i32(sample));
+#else
+    let stored = textureLoad(view_bindings::normal_prepass_texture, vec2<i32>(pixel), 0);
+#endif
+    // Materials without a prepass leave none.
+    if any(stored.xyz != vec3(0.0)) {
+        return normalize(2.0 * stored.xyz - 1.0);
+    }
+#endif
+    let normal = cross(slope(point, pixel, vec2(0.0, 1.0), sample), slope(point, pixel, vec2(1.0, 0.0), sample));
+    return normal / max(length(normal), 1e-30);
+}
+
+// What a caster takes of the sky's irradiance.
+fn sky_missing(caster: Caster, point: vec3<f32>, normal: vec3<f32>) -> vec3<f32> {
+    let texel = shadow_probe_texel(caster, (caster.bundle_from_here * vec4(point, 1.0)).xyz);
+    if any(texel < vec3(0.5)) {
+        return vec3(0.0);
+    }
+    let size = vec3<f32>(textureDimensions(shadow_probes));
+    var missing: vec3<f32>;
+    for (var i = 0u; i < PROBE_TEXELS; i++) {
+        let layer = f32((caster.slot * PROBE_TEXELS + i) * PROBES);
+        let probe = textureSampleLevel(shadow_probes, linear, (texel + vec3(0.0, 0.0, layer)) / size, 0.0);
+        missing[i] = missing_irradiance(probe, normal);
+    }
+    return missing;
+}
+
+// Whether light can meet smoke on its way to a point.
+fn meets_smoke(point: vec3<f32>, towards: vec3<f32>, distance: f32, caster_count: u32) -> bool {
+    for (var i = 0u; i < caster_count; i++) {
+        let ray = crossing(scene.casters[i], point, towards, distance);
+        if ray.end > ray.begin {
+            return true;
+        }
+    }
+    return false;
+}
+
+// The share of light that smoke lets through to a point.
+fn transmittance(point: vec3<f32>, towards: vec3<f32>, distance: f32, caster_count: u32) -> f32 {
+    var tau = 0.0;
+    for (var i = 0u; i < caster_count; i++) {
+        let ray = crossing(scene.casters[i], point, towards, distance);
+        tau += optical_depth(scene.casters[i], densities, linear, ray, STEPS);
+    }
+    return exp(-tau);
+}
+
+// Irradiance of a lamp of the view on a surface, as Bevy lights it.
+fn lamp_irradiance(lamp: u32, is_spot: bool, point: vec3<f32>, normal: vec3<f32>, pixel: vec2<f32>) -> vec3<f32> {
+    let light = &view_bindings::clustered_lights.data[lamp];
+    let offset = (*light).position_radius.xyz - point;
+    let square = dot(offset, offset);
+    let towards = offset * inverseSqrt(max(square, 1e-12));
+    let in_range = square * (*light).color_inverse_square_range.w;
+    let range_share = saturate(1.0 - in_range * in_range);
+    var share = range_share * range_share / max(square, 1e-4) * max(dot(normal, towards), 0.0);
+    if is_spot {
+        var axis = vec3((*light).light_custom_data.x, 0.0, (*light).light_custom_data.y);
+        axis.y = sqrt(max(0.0, 1.0 - axis.x * axis.x - axis.z * axis.z));
+        if ((*light).flags & POINT_LIGHT_FLAGS_SPOT_LIGHT_Y_NEGATIVE) != 0u {
+            axis.y = -axis.y;
+        }
+        let spot = saturate(dot(-axis, towards) * (*light).light_custom_data.z + (*light).light_custom_data.w);
+        share *= spot * spot;
+    }
+    if share <= 0.0 {
+        return vec3(0.0);
+    }
+    if ((*light).flags & POINT_LIGHT_FLAGS_SHADOWS_ENABLED_BIT) != 0u {
+        if is_spot {
+            share *= fetch_spot_shadow(lamp, vec4(point, 1.0), normal, (*light).shadow_map_near_z, pixel);
+        } else {
+            share *= fetch_point_shadow(lamp, vec4(point, 1.0), normal, pixel);
+        }
+    }
+    return (*light).color_inverse_square_range.rgb * share;
+}
+
+struct Fragment {
+    @location(0) color: vec4<f32>,
+#ifdef MULTISAMPLED
+    @builtin(sample_mask) mask: u32,
+#endif
+}
+
+@fragment
+fn fragment(in: Vertex) -> Fragment {
+    let pixel = in.position.xy;
+    let depth = depth_at(vec2<i32>(pixel), in.sample);
+    var out: Fragment;
+#ifdef MULTISAMPLED
+    // Where all samples see about the same depth the first shades them all.
+    var nearest = depth;
+    var farthest = depth;
+    for (var i = 0u; i < #{SAMPLES}u; i++) {
+        let other = depth_at(vec2<i32>(pixel), i);
+        nearest = max(nearest, other);
+        farthest = min(farthest, other);
+    }
+    let shared_by_all = nearest - farthest < 0.02 * nearest;
+    if shared_by_all && in.sample > 0u {
+        discard;
+    }
+    out.mask = select(1u << in.sample, 0xffffffffu, shared_by_all);
+#endif
+    // Nothing but sky.
+    if depth <= 0.0 {
+        discard;
+    }
+    let point = world_position(pixel, depth);
+    let normal = surface_normal(point, pixel, in.sample);
+
+    let is_orthographic = view_bindings::view.clip_from_view[3].w == 1.0;
+    let view_z = (view_bindings::view.view_from_world * vec4(point, 1.0)).z;
+    let cluster = clustering::view_fragment_cluster_index(pixel, view_z, is_orthographic);
+    let lamps = clustering::unpack_clusterable_object_index_ranges(cluster);
+
+    // Most surfaces are out of the smoke's reach: they are left as they are.
+    var sky = sky_irradiance(scene.sky, environment, normal);
+    let clear_sky = sky;
+    var shaded = false;
+    for (var i = 0u; i < in.caster_count; i++) {
+        let missing = sky_missing(scene.casters[i], point, normal);
+        shaded = shaded || any(missing > vec3(0.0));
+        // Behind one another, casters take of what is left.
+        sky *= 1.0 - min(missing / max(clear_sky, vec3(1e-30)), vec3(1.0));
+    }
+    let sun = transpose(scene.sky.environment_from_world) * scene.sky.sun_direction;
+    let sun_irradiance = scene.sky.sun_irradiance * (scene.sky.scale * max(dot(sun, normal), 0.0));
+    let sun_is_shaded = any(sun_irradiance > vec3(0.0)) && meets_smoke(point, sun, 1e30, in.caster_count);
+    shaded = shaded || sun_is_shaded;
+    for (var i = 0u; i < in.sun_count; i++) {
+        let towards = view_bindings::lights.directional_lights[i].direction_to_light;
+        shaded = shaded || (dot(towards, normal) > 0.0 && meets_smoke(point, towards, 1e30, in.caster_count));
+    }
+    for (var i = lamps.first_point_light_index_offset; i < lamps.first_reflection_probe_index_offset; i++) {
+        let lamp = clustering::get_clusterable_object_id(i);
+        let offset = view_bindings::clustered_lights.data[lamp].position_radius.xyz - point;
+        let distance = length(offset);
+        shaded = shaded || meets_smoke(point, offset / max(distance, 1e-6), distance, in.caster_count);
+    }
+    if !shaded {
+        discard;
+    }
+
+    if sun_is_shaded {
+        sky = max(sky - sun_irradiance * (1.0 - transmittance(point, sun, 1e30, in.caster_count)), vec3(0.0));
+    }
+    var clear = clear_sky * scene.sky.unit;
+    var lit = sky * scene.sky.unit;
+    for (var i = 0u; i < in.sun_count; i++) {
+        let light = &view_bindings::lights.directional_lights[i];
+        let towards = (*light).direction_to_light;
+        var irradiance = (*light).color.rgb * max(dot(towards, normal), 0.0);
+        if all(irradiance <= vec3(0.0)) {
+            continue;
+        }
+        if ((*light).flags & DIRECTIONAL_LIGHT_FLAGS_SHADOWS_ENABLED_BIT) != 0u {
+            irradiance *= fetch_directional_shadow(i, vec4(point, 1.0), normal, view_z, pixel);
+        }
+        clear += irradiance;
+        lit += irradiance * transmittance(point, towards, 1e30, in.caster_count);
+    }
+    for (var i = lamps.first_point_light_index_offset; i < lamps.first_reflection_probe_index_offset; i++) {
+        let lamp = clustering::get_clusterable_object_id(i);
+        let irradiance = lamp_irradiance(lamp, i >= lamps.first_spot_light_index_offset, point, normal, pixel);
+        if all(irradiance <= vec3(0.0)) {
+            continue;
+        }
+        let offset = view_bindings::clustered_lights.data[lamp].position_radius.xyz - point;
+        let distance = length(offset);
+        clear += irradiance;
+        lit += irradiance * transmittance(point, offset / max(distance, 1e-6), distance, in.caster_count);
+    }
+#ifdef TONEMAP_IN_SHADER
+    // The target holds display colours: shade them as those of a surface that reflects 18 %.
+    let grey = GREY * view_bindings::view.exposure;
+    clear = tone_mapping(vec4(clear * grey, 1.0), view_bindings::view.color_grading).rgb;
+    lit = tone_mapping(vec4(lit * grey, 1.0), view_bindings::view.color_grading).rgb;
+#endif
+    let kept = select(vec3(1.0), clamp(lit / max(clear, vec3(1e-30)), vec3(0.0), vec3(1.0)), clear > vec3(0.0));
+    out.color = vec4(kept, 1.0);
+    return out;
+}
