@@ -18,7 +18,7 @@ use super::output::OutputFile;
 use super::path::{self, PathArgs};
 use super::scene::{Environment, Scene, SceneLight};
 use super::solve::{PaperStats, SolveArgs, Solver};
-use super::surfaces::{environment_map, spawn_surfaces};
+use super::surfaces::{cast_shadows, environment_map, spawn_surfaces};
 use crate::bundle::{BundleError, BundleHeader, SmokeAnimation};
 use crate::headless::{Headless, HeadlessError};
 use crate::lighting::magnitude;
@@ -429,7 +429,8 @@ pub(super) fn spawn_scene(
         spawn_surfaces(world, scene, side as f32, kind.shows_surfaces());
         if kind.shows_surfaces() {
             let map = environment_map(world, scene, unit)?;
-            world.entity_mut(camera).insert(map);
+            world.entity_mut(camera).insert((map, SmokeShadows { smoke: true, occluders: true }));
+            cast_shadows(world);
         }
     }
     Ok((volume, unit))

@@ -50,12 +50,19 @@ pub(super) fn spawn_surfaces(world: &mut World, scene: &Scene, side: f32, seen: 
     }
     for (material, sphere) in spheres {
         let radius = sphere.radius as f32;
-        // A thousandth of the radius from the ball that it stands for.
+        // Within a thousandth of the radius of the ball that it stands for.
         let mesh = Sphere::new(radius).mesh().uv(128, 64);
         let mesh = world.resource_mut::<Assets<Mesh>>().add(mesh);
         let at = Transform::from_translation(sphere.center.as_vec3());
         world.spawn((Mesh3d(mesh), material, SmokeOccluder::new([(Vec3::ZERO, radius)]), at));
     }
+}
+
+/// Lets meshes shade each other from the world's lights.
+pub(super) fn cast_shadows(world: &mut World) {
+    world.query::<&mut DirectionalLight>().iter_mut(world).for_each(|mut light| light.shadow_maps_enabled = true);
+    world.query::<&mut PointLight>().iter_mut(world).for_each(|mut light| light.shadow_maps_enabled = true);
+    world.query::<&mut SpotLight>().iter_mut(world).for_each(|mut light| light.shadow_maps_enabled = true);
 }
 
 /// The scene's light from all around as Bevy's own, for a camera, in units of `unit`; without Bevy's ambient light.

@@ -15,7 +15,8 @@
 //!
 //! All but the last are compute passes in Bevy's `RenderGraph` schedule, before the cameras' own, and run only when
 //! something they read has changed: a static scene dispatches none of them. The view pass runs in `Core3d` after the opaque
-//! pass and before the transparent one. Each is a GPU span of its own; games can order against [`SmokeSystems`].
+//! pass and before the transparent one; where transparent meshes are behind smoke or in it, it is drawn among them
+//! ([`slabs`]). Each is a GPU span of its own; games can order against [`SmokeSystems`].
 //!
 //! A moment is a blend of two baked frames. On the GPU there are those moments that volumes show, each in buffers and textures
 //! of its own that are rewritten as time goes on, and the residuals of the baked frames that they blend: memory does not
@@ -50,6 +51,7 @@ mod prepare;
 mod scattering;
 mod shadow_probes;
 mod sky;
+mod slabs;
 mod stats;
 mod surroundings;
 #[cfg(all(test, feature = "cli"))]
@@ -57,10 +59,13 @@ mod tests;
 mod view;
 mod volume;
 
-use bevy::core_pipeline::core_3d::{main_opaque_pass_3d, main_transparent_pass_3d, prepare_core_3d_depth_textures};
+use bevy::core_pipeline::core_3d::{
+    Transparent3d, main_opaque_pass_3d, main_transparent_pass_3d, prepare_core_3d_depth_textures,
+};
 use bevy::core_pipeline::schedule::{Core3d, Core3dSystems, camera_driver};
-use bevy::pbr::{MeshPipeline, MeshPipelineSystems};
+use bevy::pbr::{MeshPipeline, MeshPipelineSystems, main_transmissive_pass_3d};
 use bevy::prelude::*;
+use bevy::render::render_phase::{DrawFunctions, sort_phase_system};
 use bevy::render::render_resource::{DownlevelFlags, PipelineCache, SpecializedRenderPipelines};
 use bevy::render::renderer::{RenderAdapter, RenderDevice, RenderGraph, RenderGraphSystems};
 use bevy::render::sync_world::SyncToRenderWorld;
@@ -120,8 +125,12 @@ impl Plugin for SmokeRenderPlugin {
                     view::prepare_depth_usages
                         .in_set(RenderSystems::PrepareResources)
                         .before(prepare_core_3d_depth_textures),
-                    view::prepare_view_pipelines.in_set(RenderSystems::PrepareResources),
+                    (view::prepare_view_pipelines, slabs::cut_at_transparent_meshes)
+                        .chain()
+                        .after(sort_phase_system::<Transparent3d>)
+                        .in_set(RenderSystems::PhaseSort),
                     prepare::prepare_smoke.in_set(RenderSystems::PrepareBindGroups).in_set(SmokeSystems::Prepare),
+                    slabs::prepare_slabs.in_set(RenderSystems::PrepareBindGroups),
                 )
                     .run_if(resource_exists::<SmokePasses>),
             )
@@ -158,6 +167,8 @@ impl Plugin for SmokeRenderPlugin {
                 (mesh_shadows::mesh_shadows, view::view)
                     .chain()
                     .after(main_opaque_pass_3d)
+                    // What is behind glass is seen through it.
+                    .before(main_transmissive_pass_3d)
                     .before(main_transparent_pass_3d)
                     .in_set(Core3dSystems::MainPass)
                     .in_set(SmokeSystems::Draw),
@@ -227,6 +238,7 @@ fn init_passes(
     assets: Res<AssetServer>,
     device: Res<RenderDevice>,
     adapter: Res<RenderAdapter>,
+    draw_functions: Res<DrawFunctions<Transparent3d>>,
     mesh_pipeline: Option<Res<MeshPipeline>>,
 ) {
     if let Err(missing) = check_device(&device, &adapter) {
@@ -249,6 +261,7 @@ fn init_passes(
         paper: paper::PaperPasses::new(&shaders.paper, &cache),
     });
     commands.insert_resource(view::ViewPass::new(&shaders.view));
+    draw_functions.write().add(slabs::DrawSlab);
     if let Some(pass) = mesh_shadows::MeshShadowPass::new(mesh_pipeline.as_deref(), &shaders.mesh_shadows) {
         commands.insert_resource(pass);
     }

@@ -1,6 +1,8 @@
 //! A volume's box in the world, and what follows from where it is: the light in its own axes, what a view needs to draw
 //! it, and where the method leaves what it is good for.
 
+use core::ops::Range;
+
 use bevy::math::{Affine3A, Vec3A};
 use bevy::prelude::*;
 use bevy::render::renderer::RenderDevice;
@@ -159,10 +161,21 @@ impl Placed {
         }
     }
 
-    /// What the view pass needs; None where the box is off the screen.
+    /// Where the box ends and begins along the view's axis: Z in view space, negative ahead of the eye, ascending toward it.
+    pub fn depths(&self, view: &ExtractedView) -> Range<f32> {
+        let view_from_bundle = self.bundle_from_view(view).inverse();
+        let center = view_from_bundle.translation.z;
+        let row = Mat3::from(view_from_bundle.matrix3).row(2);
+        let reach = row.abs().dot(self.shape.half_extent());
+        center - reach..center + reach
+    }
+
+    /// What the view pass needs, the view's projection given as its meshes are drawn with it; None where the box is off the
+    /// screen.
     pub fn smoke_uniform(
         &self,
         view: &ExtractedView,
+        clip_from_view: Mat4,
         eye: Vec4,
         volume: &ExtractedVolume,
         radiance_scale: f32,
@@ -170,10 +183,10 @@ impl Placed {
     ) -> Option<SmokeUniform> {
         let bundle_from_view = Mat4::from(self.bundle_from_view(view));
         let half_extent = self.shape.half_extent();
-        let clip_from_bundle = view.clip_from_view * bundle_from_view.inverse();
+        let clip_from_bundle = clip_from_view * bundle_from_view.inverse();
         let rectangle = screen_rectangle(clip_from_bundle, half_extent)?;
         Some(SmokeUniform {
-            bundle_from_clip: bundle_from_view * view.clip_from_view.inverse(),
+            bundle_from_clip: bundle_from_view * clip_from_view.inverse(),
             eye,
             rectangle,
             half_extent,

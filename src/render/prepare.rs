@@ -10,9 +10,10 @@
 //! | [`LitVolume`] | volume × environment | environment and moment, the medium, the volume's rotation and scale, lamps |
 //! | [`SlicedVolume`](super::lit::SlicedVolume) | lit volume, × view where the phase function is not isotropic | the lit volume; the eye in bundle space |
 
+use bevy::camera::MainPassResolutionOverride;
 use bevy::platform::collections::HashMap;
 use bevy::prelude::*;
-use bevy::render::camera::ExtractedCamera;
+use bevy::render::camera::{ExtractedCamera, TemporalJitter};
 use bevy::render::render_asset::{ExtractedAssets, RenderAssets};
 use bevy::render::render_resource::{
     AddressMode, Buffer, FilterMode, PipelineCache, Sampler, SamplerDescriptor, TextureView,
@@ -116,6 +117,7 @@ pub(super) fn prepare_smoke(
     smoke: Res<ExtractedSmoke>,
     images: Res<RenderAssets<GpuImage>>,
     views: Query<(Entity, &ExtractedView, &ExtractedCamera, &RenderVisibleEntities), With<Camera3d>>,
+    projections: Query<(Option<&TemporalJitter>, Option<&MainPassResolutionOverride>), With<Camera3d>>,
     device: Res<RenderDevice>,
     queue: Res<RenderQueue>,
     pipelines: Res<PipelineCache>,
@@ -168,6 +170,8 @@ pub(super) fn prepare_smoke(
 
     for (view_entity, view, camera, visible) in &views {
         let mut drawn = Vec::new();
+        let (jitter, resolution) = projections.get(view_entity).unwrap_or_default();
+        let clip_from_view = jittered(view, jitter, resolution);
         let visible = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
         for &(_, volume_entity) in visible.iter().filter(|_| ready) {
             let Some(volume) = smoke.volumes.get(&volume_entity) else {
@@ -247,10 +251,11 @@ pub(super) fn prepare_smoke(
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
-            let uniform = placed.smoke_uniform(view, eye, volume, unit * camera.exposure, glows);
+            let uniform = placed.smoke_uniform(view, clip_from_view, eye, volume, unit * camera.exposure, glows);
             if let Some(uniform) = uniform {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
-                drawn.push(ViewSmokeVolume { distance: placed.distance(view), emission, bind_group });
+                let (distance, depths) = (placed.distance(view), placed.depths(view));
+                drawn.push(ViewSmokeVolume { distance, depths, emission, bind_group });
             }
         }
         // Far to near; equal distances keep the order of their entities.
@@ -308,6 +313,20 @@ pub(super) fn prepare_smoke(
             sliced.seen.retain(|_, seen| in_use(seen.last_used));
         }
     }
+}
+
+/// The projection that a view's meshes are drawn with: moved by a part of a pixel under temporal anti-aliasing.
+fn jittered(
+    view: &ExtractedView,
+    jitter: Option<&TemporalJitter>,
+    resolution: Option<&MainPassResolutionOverride>,
+) -> Mat4 {
+    let mut clip_from_view = view.clip_from_view;
+    if let Some(jitter) = jitter {
+        let size = resolution.map_or(view.viewport.zw(), |resolution| resolution.0);
+        jitter.jitter_projection(&mut clip_from_view, size.as_vec2());
+    }
+    clip_from_view
 }
 
 /// The volumes that cast shadows in a frame: those that do, where any view sees shadows.

@@ -1,21 +1,29 @@
-//! View pass: marches each view's rays through its volumes, far to near, and composites them over the opaque scene.
+//! View pass: marches each view's rays through its volumes, far to near, and composites them over the opaque scene. Where
+//! transparent meshes are in the way, the same pipelines draw slabs among them ([`slabs`](super::slabs)).
 
+use core::ops::Range;
+
+use bevy::camera::{MainPassResolutionOverride, Viewport};
+use bevy::core_pipeline::core_3d::{CORE_3D_DEPTH_FORMAT, Transparent3d};
 use bevy::core_pipeline::tonemapping::{
     Tonemapping, TonemappingLuts, get_lut_bind_group_layout_entries, get_lut_bindings,
 };
+use bevy::pbr::ExtractedAtmosphere;
 use bevy::prelude::*;
 use bevy::render::camera::ExtractedCamera;
 use bevy::render::diagnostic::RecordDiagnostics;
 use bevy::render::render_asset::RenderAssets;
+use bevy::render::render_phase::{TrackedRenderPass, ViewSortedRenderPhases};
 use bevy::render::render_resource::binding_types::{
     sampler, texture_3d, texture_depth_2d, texture_depth_2d_multisampled, uniform_buffer,
 };
 use bevy::render::render_resource::{
     BindGroup, BindGroupEntries, BindGroupEntry, BindGroupLayoutDescriptor, BindGroupLayoutEntries, BindingResource,
-    BlendComponent, BlendState, Buffer, CachedRenderPipelineId, ColorTargetState, ColorWrites, FragmentState,
-    MultisampleState, PipelineCache, PrimitiveState, PrimitiveTopology, RenderPassDescriptor, RenderPipelineDescriptor,
-    Sampler, SamplerBindingType, ShaderStages, ShaderType, SpecializedRenderPipeline, SpecializedRenderPipelines,
-    TextureFormat, TextureSampleType, TextureUsages, TextureView, VertexState,
+    BlendComponent, BlendState, Buffer, CachedRenderPipelineId, ColorTargetState, ColorWrites, CompareFunction,
+    DepthStencilState, FragmentState, MultisampleState, PipelineCache, PrimitiveState, PrimitiveTopology,
+    RenderPassDescriptor, RenderPipeline, RenderPipelineDescriptor, Sampler, SamplerBindingType, ShaderStages,
+    ShaderType, SpecializedRenderPipeline, SpecializedRenderPipelines, TextureFormat, TextureSampleType, TextureUsages,
+    TextureView, VertexState,
 };
 use bevy::render::renderer::{RenderContext, RenderDevice, ViewQuery};
 use bevy::render::texture::{FallbackImage, GpuImage};
@@ -27,6 +35,7 @@ use bevy::shader::{Shader, ShaderDefVal};
 use super::SmokeRenderStats;
 use super::extract::ExtractedSmoke;
 use super::lighting::{LampUniform, LightingUniform, MAX_LAMPS};
+use super::slabs::{SlabsUniform, ViewSlabs};
 
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_view";
@@ -89,6 +98,8 @@ pub(super) struct ViewSmoke(pub Vec<ViewSmokeVolume>);
 /// A volume that a view draws.
 pub(super) struct ViewSmokeVolume {
     pub distance: f32,
+    /// Where its box begins and ends along the view's axis, as [`Placed::depths`](super::placed::Placed::depths).
+    pub depths: Range<f32>,
     pub emission: Emission,
     pub bind_group: BindGroup,
 }
@@ -145,10 +156,17 @@ pub struct ViewPassKey {
     /// The tone mapping to apply in the shader: that of a view whose target holds display colours.
     tonemapping: Option<Tonemapping>,
     emission: Emission,
+    /// Whether it draws slabs in Bevy's transparent pass, which has a depth attachment.
+    slabs: bool,
 }
 
+/// Bindings of the view's group.
+const LUT_BINDING: u32 = 2;
+const SLABS_BINDING: u32 = 4;
+
 impl ViewPassKey {
-    /// Layout of the group that the view binds: its uniform, its depth and, where the shader tone-maps, a table.
+    /// Layout of the group that the view binds: its uniform, its depth, a table where the shader tone-maps, and the slabs
+    /// where there are any.
     fn view_layout(&self) -> BindGroupLayoutDescriptor {
         let depth = if self.samples > 1 { texture_depth_2d_multisampled() } else { texture_depth_2d() };
         let mut entries = BindGroupLayoutEntries::sequential(
@@ -158,8 +176,11 @@ impl ViewPassKey {
         .to_vec();
         if self.tonemapping.is_some() {
             let luts = get_lut_bind_group_layout_entries();
-            let luts = (2..).zip(luts).map(|(binding, entry)| entry.build(binding, ShaderStages::FRAGMENT));
+            let luts = (LUT_BINDING..).zip(luts).map(|(binding, entry)| entry.build(binding, ShaderStages::FRAGMENT));
             entries.extend(luts);
+        }
+        if self.slabs {
+            entries.push(uniform_buffer::<SlabsUniform>(false).build(SLABS_BINDING, ShaderStages::VERTEX));
         }
         BindGroupLayoutDescriptor::new("smoke_view", &entries)
     }
@@ -169,14 +190,18 @@ impl ViewPassKey {
         if self.samples > 1 {
             defs.push("MULTISAMPLED".into());
         }
+        if self.slabs {
+            defs.push("SLABS".into());
+            defs.push(ShaderDefVal::UInt("SAMPLES".into(), self.samples));
+        }
         #[cfg(feature = "reference")]
         if self.emission == Emission::Printed {
             defs.push("PRINTED_EMISSION".into());
         }
         if let Some(tonemapping) = self.tonemapping {
             defs.push("TONEMAP_IN_SHADER".into());
-            defs.push(ShaderDefVal::UInt("TONEMAPPING_LUT_TEXTURE_BINDING_INDEX".into(), 2));
-            defs.push(ShaderDefVal::UInt("TONEMAPPING_LUT_SAMPLER_BINDING_INDEX".into(), 3));
+            defs.push(ShaderDefVal::UInt("TONEMAPPING_LUT_TEXTURE_BINDING_INDEX".into(), LUT_BINDING));
+            defs.push(ShaderDefVal::UInt("TONEMAPPING_LUT_SAMPLER_BINDING_INDEX".into(), LUT_BINDING + 1));
             defs.push(tonemapping_def(tonemapping).into());
         }
         defs
@@ -214,6 +239,14 @@ impl SpecializedRenderPipeline for ViewPass {
                 ..default()
             },
             primitive: PrimitiveState { topology: PrimitiveTopology::TriangleStrip, ..default() },
+            // The march ends at the depth; the test, which the pass has anyway, lets all through.
+            depth_stencil: key.slabs.then(|| DepthStencilState {
+                format: CORE_3D_DEPTH_FORMAT,
+                depth_write_enabled: Some(false),
+                depth_compare: Some(CompareFunction::Always),
+                stencil: default(),
+                bias: default(),
+            }),
             multisample: MultisampleState { count: key.samples, ..default() },
             fragment: Some(FragmentState {
                 shader: self.shader.clone(),
@@ -230,10 +263,9 @@ impl SpecializedRenderPipeline for ViewPass {
     }
 }
 
-/// A view's pipelines.
-#[derive(Component)]
-pub(super) struct ViewSmokePipeline {
-    id: CachedRenderPipelineId,
+/// The pipelines that draw a view's volumes.
+pub(super) struct Pipelines {
+    exact: CachedRenderPipelineId,
     /// For the volumes that emit as printed, if there are any.
     #[cfg(feature = "reference")]
     printed: Option<CachedRenderPipelineId>,
@@ -241,43 +273,127 @@ pub(super) struct ViewSmokePipeline {
     key: ViewPassKey,
 }
 
-/// Picks the pipeline of every view that may draw smoke.
+impl Pipelines {
+    fn get<'a>(&self, emission: Emission, cache: &'a PipelineCache) -> Option<&'a RenderPipeline> {
+        match emission {
+            Emission::Exact => cache.get_render_pipeline(self.exact),
+            #[cfg(feature = "reference")]
+            Emission::Printed => cache.get_render_pipeline(self.printed?),
+        }
+    }
+
+    /// Pipelines compile while the app runs.
+    pub fn are_ready(&self, cache: &PipelineCache) -> bool {
+        let ready = self.get(Emission::Exact, cache).is_some();
+        #[cfg(feature = "reference")]
+        let ready = ready && (self.printed.is_none() || self.get(Emission::Printed, cache).is_some());
+        ready
+    }
+
+    /// What the view binds.
+    pub fn bind_view(
+        &self,
+        view_uniforms: BindingResource,
+        depth: &TextureView,
+        slabs: Option<&Buffer>,
+        tables: &ToneMappingTables,
+        device: &RenderDevice,
+        cache: &PipelineCache,
+    ) -> BindGroup {
+        let mut entries = vec![
+            BindGroupEntry { binding: 0, resource: view_uniforms },
+            BindGroupEntry { binding: 1, resource: BindingResource::TextureView(depth) },
+        ];
+        if let Some(tonemapping) = &self.key.tonemapping {
+            let (lut, sampler) = get_lut_bindings(&tables.images, &tables.luts, tonemapping, &tables.fallback);
+            entries.push(BindGroupEntry { binding: LUT_BINDING, resource: BindingResource::TextureView(lut) });
+            entries.push(BindGroupEntry { binding: LUT_BINDING + 1, resource: BindingResource::Sampler(sampler) });
+        }
+        entries
+            .extend(slabs.map(|slabs| BindGroupEntry { binding: SLABS_BINDING, resource: slabs.as_entire_binding() }));
+        device.create_bind_group(LABEL, &cache.get_bind_group_layout(&self.layout), &entries)
+    }
+
+    /// Draws volumes as wholes (slab 0) or one slab of each, the view's group being bound; how many draws it took.
+    pub fn draw<'a>(
+        &self,
+        volumes: impl Iterator<Item = &'a ViewSmokeVolume>,
+        slab: u32,
+        cache: &'a PipelineCache,
+        pass: &mut TrackedRenderPass<'a>,
+    ) -> u32 {
+        let samples = self.key.samples;
+        let mut draws = 0;
+        for volume in volumes {
+            let Some(pipeline) = self.get(volume.emission, cache) else { continue };
+            pass.set_render_pipeline(pipeline);
+            pass.set_bind_group(1, &volume.bind_group, &[]);
+            pass.draw(0..4, slab * samples..(slab + 1) * samples);
+            draws += 1;
+        }
+        draws
+    }
+}
+
+/// A view's pipelines.
+#[derive(Component)]
+pub(super) struct ViewSmokePipelines {
+    pub whole: Pipelines,
+    /// Of views that have something to draw in Bevy's transparent pass.
+    pub slabs: Option<Pipelines>,
+}
+
+/// Picks the pipelines of every view that may draw smoke.
 pub(super) fn prepare_view_pipelines(
     mut commands: Commands,
     cache: Res<PipelineCache>,
     mut pipelines: ResMut<SpecializedRenderPipelines<ViewPass>>,
     pass: Res<ViewPass>,
     smoke: Res<ExtractedSmoke>,
-    views: Query<(Entity, &ExtractedView, &ExtractedCamera, &Msaa, Option<&Tonemapping>), With<Camera3d>>,
+    phases: Res<ViewSortedRenderPhases<Transparent3d>>,
+    views: Query<
+        (Entity, &ExtractedView, &ExtractedCamera, &Msaa, Option<&Tonemapping>, Has<ExtractedAtmosphere>),
+        With<Camera3d>,
+    >,
 ) {
-    for (entity, view, camera, msaa, tonemapping) in &views {
+    let mut specialize = |key: ViewPassKey| Pipelines {
+        exact: pipelines.specialize(&cache, &pass, key),
+        #[cfg(feature = "reference")]
+        printed: smoke.volumes.values().any(|volume| volume.paper.is_some()).then(|| {
+            let key = ViewPassKey { emission: Emission::Printed, ..key };
+            pipelines.specialize(&cache, &pass, key)
+        }),
+        layout: key.view_layout(),
+        key,
+    };
+    for (entity, view, camera, msaa, tonemapping, has_atmosphere) in &views {
         if smoke.volumes.is_empty() {
-            commands.entity(entity).remove::<ViewSmokePipeline>();
+            commands.entity(entity).remove::<ViewSmokePipelines>();
             continue;
         }
-        let tonemapping = tonemapping.copied().filter(|_| !camera.hdr);
-        let emission = Emission::Exact;
-        let key = ViewPassKey { target_format: view.target_format, samples: msaa.samples(), tonemapping, emission };
-        commands.entity(entity).insert(ViewSmokePipeline {
-            id: pipelines.specialize(&cache, &pass, key),
-            #[cfg(feature = "reference")]
-            printed: smoke.volumes.values().any(|volume| volume.paper.is_some()).then(|| {
-                let key = ViewPassKey { emission: Emission::Printed, ..key };
-                pipelines.specialize(&cache, &pass, key)
-            }),
-            layout: key.view_layout(),
-            key,
+        let whole = ViewPassKey {
+            target_format: view.target_format,
+            samples: msaa.samples(),
+            tonemapping: tonemapping.copied().filter(|_| !camera.hdr),
+            emission: Emission::Exact,
+            slabs: false,
+        };
+        let transparent = phases.get(&view.retained_view_entity).is_some_and(|phase| !phase.items.is_empty());
+        commands.entity(entity).insert(ViewSmokePipelines {
+            whole: specialize(whole),
+            slabs: (transparent || has_atmosphere).then(|| specialize(ViewPassKey { slabs: true, ..whole })),
         });
     }
 }
 
-/// Lets the pass read the views' depth.
-pub(super) fn prepare_depth_usages(mut cameras: Query<&mut Camera3d>, smoke: Res<ExtractedSmoke>) {
+/// Lets the passes read the views' depth, or copy it.
+pub(super) fn prepare_depth_usages(mut cameras: Query<(&mut Camera3d, Has<ViewSlabs>)>, smoke: Res<ExtractedSmoke>) {
     if smoke.volumes.is_empty() {
         return;
     }
-    for mut camera in &mut cameras {
-        camera.depth_texture_usages.0 |= TextureUsages::TEXTURE_BINDING.bits();
+    for (mut camera, has_slabs) in &mut cameras {
+        let copied = if has_slabs { TextureUsages::COPY_SRC } else { TextureUsages::empty() };
+        camera.depth_texture_usages.0 |= (TextureUsages::TEXTURE_BINDING | copied).bits();
     }
 }
 
@@ -289,15 +405,17 @@ pub(super) struct ToneMappingTables<'w> {
     fallback: Res<'w, FallbackImage>,
 }
 
-/// Draws the view's volumes.
+/// Draws the view's volumes, or copies the depth where Bevy's transparent pass will draw them.
 pub(super) fn view(
     view: ViewQuery<(
         &ViewTarget,
         &ViewDepthTexture,
         &ViewUniformOffset,
         &ExtractedCamera,
+        Option<&MainPassResolutionOverride>,
         &ViewSmoke,
-        &ViewSmokePipeline,
+        &ViewSmokePipelines,
+        Option<&ViewSlabs>,
     )>,
     view_uniforms: Res<ViewUniforms>,
     cache: Res<PipelineCache>,
@@ -305,28 +423,19 @@ pub(super) fn view(
     stats: Res<SmokeRenderStats>,
     mut ctx: RenderContext,
 ) {
-    let (target, depth, offset, camera, smoke, pipeline) = view.into_inner();
+    let (target, depth, offset, camera, resolution, smoke, pipelines, slabs) = view.into_inner();
+    if let Some(slabs) = slabs {
+        slabs.copy_depth(depth, ctx.command_encoder());
+        return;
+    }
     let Some(view_uniforms) = view_uniforms.uniforms.binding() else {
         return;
     };
-    let render_pipeline = |emission: Emission| match emission {
-        Emission::Exact => cache.get_render_pipeline(pipeline.id),
-        #[cfg(feature = "reference")]
-        Emission::Printed => cache.get_render_pipeline(pipeline.printed?),
-    };
-    // Pipelines compile while the app runs.
-    if smoke.0.iter().any(|volume| render_pipeline(volume.emission).is_none()) {
+    let pipelines = &pipelines.whole;
+    if !pipelines.are_ready(&cache) {
         return;
     }
-    let mut resources = vec![view_uniforms, BindingResource::TextureView(depth.view())];
-    if let Some(tonemapping) = &pipeline.key.tonemapping {
-        let (lut, sampler) = get_lut_bindings(&tables.images, &tables.luts, tonemapping, &tables.fallback);
-        resources.extend([BindingResource::TextureView(lut), BindingResource::Sampler(sampler)]);
-    }
-    let entries: Vec<BindGroupEntry> =
-        (0..).zip(resources).map(|(binding, resource)| BindGroupEntry { binding, resource }).collect();
-    let layout = cache.get_bind_group_layout(&pipeline.layout);
-    let view_bind_group = ctx.render_device().create_bind_group(LABEL, &layout, &entries);
+    let view_bind_group = pipelines.bind_view(view_uniforms, depth.view(), None, &tables, ctx.render_device(), &cache);
 
     let recorder = ctx.diagnostic_recorder();
     let recorder = recorder.as_deref();
@@ -339,17 +448,10 @@ pub(super) fn view(
         multiview_mask: None,
     });
     let span = recorder.pass_span(&mut pass, LABEL);
-    if let Some(viewport) = &camera.viewport {
-        pass.set_camera_viewport(viewport);
+    if let Some(viewport) = Viewport::from_viewport_and_override(camera.viewport.as_ref(), resolution) {
+        pass.set_camera_viewport(&viewport);
     }
     pass.set_bind_group(0, &view_bind_group, &[offset.offset]);
-    for volume in &smoke.0 {
-        if let Some(render_pipeline) = render_pipeline(volume.emission) {
-            pass.set_render_pipeline(render_pipeline);
-        }
-        pass.set_bind_group(1, &volume.bind_group, &[]);
-        pass.draw(0..4, 0..pipeline.key.samples);
-        stats.view.add(1);
-    }
+    stats.view.add(pipelines.draw(smoke.0.iter(), 0, &cache, &mut pass));
     span.end(&mut pass);
 }

@@ -4,6 +4,9 @@
 //
 // With MSAA the rectangle is drawn once per sample: where all samples of a pixel see the same depth the first instance
 // shades them all and the others return at once; at the edges of meshes each sample is marched to its own depth.
+//
+// Where SLABS is defined it is not the whole that is drawn but a slab of it, from one depth to another, and the instances of
+// one slab come after those of another.
 #import bevy_render::view::View
 #import bevy_smoke::lighting::phase
 #ifdef TONEMAP_IN_SHADER
@@ -49,6 +52,11 @@ struct Smoke {
 #else
 @group(0) @binding(1) var depth_texture: texture_depth_2d;
 #endif
+#ifdef SLABS
+// The depths, in normalised device coordinates, where each slab ends and begins: x, the farther, is 0 at infinity; y is 1
+// where nothing is nearer.
+@group(0) @binding(4) var<uniform> slabs: array<vec4<f32>, 8>;
+#endif
 @group(1) @binding(0) var<uniform> smoke: Smoke;
 // RGB: source radiance; alpha: scaled density; padded by one cell on each side.
 @group(1) @binding(1) var volume: texture_3d<f32>;
@@ -60,15 +68,26 @@ struct Vertex {
     // `smoke.glow_count`. Where a uniform bounds a loop, Mesa's CPU driver (lavapipe 22.3) compiles the fragment shader anew
     // at every draw, and never lets go of it; a value from the vertex stage is as good and costs nothing.
     @location(1) @interpolate(flat) glow_count: u32,
+#ifdef SLABS
+    @location(2) @interpolate(flat) slab: vec2<f32>,
+#endif
 }
 
 @vertex
-fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) sample: u32) -> Vertex {
+fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> Vertex {
     let corner = vec2(
         select(smoke.rectangle.x, smoke.rectangle.z, (index & 1u) == 1u),
         select(smoke.rectangle.y, smoke.rectangle.w, (index & 2u) == 2u),
     );
-    return Vertex(vec4(corner, 0.0, 1.0), sample, smoke.glow_count);
+    var out: Vertex;
+    out.position = vec4(corner, 0.0, 1.0);
+    out.sample = instance;
+    out.glow_count = smoke.glow_count;
+#ifdef SLABS
+    out.sample = instance % #{SAMPLES}u;
+    out.slab = slabs[instance / #{SAMPLES}u].xy;
+#endif
+    return out;
 }
 
 struct Ray {
@@ -200,13 +219,19 @@ struct Fragment {
 @fragment
 fn fragment(in: Vertex) -> Fragment {
     let at = in.position.xy;
-    let uv = (at - view.viewport.xy) / view.viewport.zw;
+    let uv = (at - view.main_pass_viewport.xy) / view.main_pass_viewport.zw;
     let ndc = vec2(2.0 * uv.x - 1.0, 1.0 - 2.0 * uv.y);
-    let ray = ray_through(ndc);
+    var ray = ray_through(ndc);
     let footprint = vec2(
         diagonal(dpdx(ray.origin), dpdy(ray.origin)),
         diagonal(dpdx(ray.direction), dpdy(ray.direction)),
     );
+#ifdef SLABS
+    ray.leave = min(ray.leave, distance_to(ray, ndc, in.slab.x));
+    if in.slab.y < 1.0 {
+        ray.enter = max(ray.enter, distance_to(ray, ndc, in.slab.y));
+    }
+#endif
     if ray.leave <= ray.enter {
         discard;
     }

@@ -13,4 +13,5 @@ mod playback;
 mod scattering;
 mod scene;
 mod shadows;
+mod transparency;
 mod work;

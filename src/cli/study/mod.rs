@@ -3,6 +3,7 @@
 mod flicker;
 mod shadows;
 mod sphere;
+mod spheres;
 mod stability;
 
 use clap::Subcommand;
@@ -11,6 +12,7 @@ pub(super) const EXAMPLES: &str = "\
   smoke study sphere
   smoke study sphere --paths 10000000 --json
   smoke study stability > docs/stability.md
+  smoke study spheres --spheres 16,32
   smoke study flicker plume.smoke --density plume_*.vdb
   smoke study shadows plume.smoke";
 
@@ -31,6 +33,9 @@ pub enum Study {
     /// Shadows between smoke and meshes, as the plug-in draws them: what a floor under the smoke receives of sky and sun,
     /// against exact integrals, and smoke that a ball shades, against path tracing
     Shadows(shadows::ShadowArgs),
+    /// How close fitted spheres come to the meshes they stand for in smoke's light, and how long fitting takes. Prints
+    /// tables: a cube, a wall, a torus, a figure that walks, and ground
+    Spheres(spheres::SpheresArgs),
 }
 
 /// Runs `smoke study`.
@@ -40,5 +45,6 @@ pub fn run(study: &Study) -> anyhow::Result<()> {
         Study::Stability(args) => stability::run(args),
         Study::Flicker(args) => flicker::run(args),
         Study::Shadows(args) => shadows::run(args),
+        Study::Spheres(args) => spheres::run(args),
     }
 }
