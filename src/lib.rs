@@ -83,7 +83,7 @@ pub mod prelude {
     pub use crate::bundle::SmokeAnimation;
     pub use crate::lighting::SmokeEnvironment;
     pub use crate::medium::SmokeMedium;
-    pub use crate::occluder::{OccluderSphere, SmokeOccluder};
+    pub use crate::occluder::{OccluderShape, OccluderSphere, SmokeOccluder, SmokeOccluderFit};
     pub use crate::playback::{PlaybackMode, SmokeFinished, SmokeLooped, SmokePlayback, SmokeReady};
     pub use crate::scattering::{ScatteringEvents, ScatteringSolver, SmokeScattering};
     pub use crate::shadows::{NoSmokeShadow, SmokeShadows};
@@ -107,9 +107,13 @@ impl Plugin for SmokePlugin {
             .register_type::<medium::SmokeMedium>()
             .register_type::<lighting::SmokeEnvironment>()
             .register_type::<scattering::SmokeScattering>()
-            .register_type::<occluder::SmokeOccluder>()
             .register_type::<shadows::SmokeShadows>()
             .register_type::<shadows::NoSmokeShadow>()
-            .add_plugins((volume::SmokeVolumePlugin, playback::SmokePlaybackPlugin, render::SmokeRenderPlugin));
+            .add_plugins((
+                volume::SmokeVolumePlugin,
+                playback::SmokePlaybackPlugin,
+                occluder::SmokeOccluderPlugin,
+                render::SmokeRenderPlugin,
+            ));
     }
 }

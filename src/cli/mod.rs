@@ -162,6 +162,7 @@ mod tests {
             (&["smoke", "simulate", "-o", "x", "--obstacle", "cube"], "--obstacle"),
             (&["smoke", "study", "cube"], "cube"),
             (&["smoke", "study", "sphere", "--paths", "0"], "--paths"),
+            (&["smoke", "study", "spheres", "--spheres", "8,0"], "--spheres"),
             (&["smoke", "study", "flicker", "a.smoke"], "--density"),
             (&["smoke", "study", "flicker", "a.smoke", "--density", "a.vdb"], "2 values required"),
         ] {

@@ -3,6 +3,32 @@
 //! A sphere's soft shadow has a closed form that a triangle's has not, and a few dozen of them follow a character or a
 //! hillside closely enough for the light that reaches smoke, which is smooth (Ren et al. 2006, *Real-Time Soft Shadows in
 //! Dynamic Scenes using Spherical Harmonic Exponentiation*).
+//!
+//! A [`SmokeOccluder`] holds spheres. They come from the game, or are fitted to a mesh: by a [`SmokeOccluderFit`] beside it
+//! while the game runs, by [`fit_mesh`] beforehand. [`fit_solid`], [`fit_skinned`] and [`fit_ground`] work on plain triangles
+//! and heights and tell how close the spheres are.
+
+mod component;
+mod cover;
+mod fit;
+mod mesh;
+#[cfg(any(test, feature = "cli"))]
+pub(crate) mod shapes;
+mod silhouette;
+mod skin;
+mod solid;
+mod terrain;
+
+pub use component::SmokeOccluderFit;
+pub(crate) use component::SmokeOccluderPlugin;
+pub use fit::{FitError, FitFailure, SphereFit, fit_solid};
+pub use mesh::{OccluderShape, fit_mesh};
+#[cfg(feature = "cli")]
+pub(crate) use mesh::{mesh_skin, mesh_triangles};
+pub use silhouette::silhouette_error;
+pub use skin::{Skin, fit_skinned};
+pub use solid::TriangleMesh;
+pub use terrain::{GroundFit, HeightField, fit_ground};
 
 use bevy::math::Affine3A;
 use bevy::mesh::skinning::SkinnedMesh;

@@ -5,7 +5,10 @@ use core::f64::consts::PI;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::{DIRECTIONS, Grid, MARCH_STEPS, PROBE_OFFSETS, PROBES, Ray, cell_size, half_extent, rbf_center};
+use super::{
+    DIRECTIONS, Grid, MARCH_STEPS, PROBE_OFFSETS, PROBES, Ray, rbf_center,
+    surroundings::{Surroundings, march},
+};
 use crate::{
     optics::transmittance,
     rbf::Rbf,
@@ -32,10 +35,21 @@ pub struct Incident {
     pub passing: Sh<f64>,
 }
 
-/// L_d, τ̄ and T at the probes of every RBF; `sigma` is extinction per channel.
+/// L_d, τ̄ and T at the probes of every RBF, of smoke that is alone; `sigma` is extinction per channel.
 pub fn incident_light(rbfs: &[Rbf], coarse: &Grid, lighting: &Lighting, sigma: DVec3) -> Vec<[Incident; PROBES]> {
+    incident_light_among(rbfs, coarse, lighting, sigma, &Surroundings::default())
+}
+
+/// The same where something stands around the smoke.
+pub fn incident_light_among(
+    rbfs: &[Rbf],
+    coarse: &Grid,
+    lighting: &Lighting,
+    sigma: DVec3,
+    around: &Surroundings,
+) -> Vec<[Incident; PROBES]> {
     let at = |rbf: &Rbf| probes(rbf, reach(rbf, sigma.element_sum() / 3.0));
-    rbfs.par_iter().map(|rbf| at(rbf).map(|p| incident(p, coarse, lighting, sigma, DIRECTIONS))).collect()
+    rbfs.par_iter().map(|rbf| at(rbf).map(|p| incident(p, coarse, lighting, sigma, around, DIRECTIONS))).collect()
 }
 
 /// Where the probes of an RBF are.
@@ -53,16 +67,26 @@ pub fn reach(rbf: &Rbf, sigma: f64) -> f64 {
     radius * (3.0 * sigma * weight * radius).max(1e-30).ln().clamp(1.0, 6.0).sqrt()
 }
 
-/// L_d, τ̄ and T at `p`, from `directions` fixed directions; `sigma` is extinction per channel.
-pub fn incident(p: DVec3, coarse: &Grid, lighting: &Lighting, sigma: DVec3, directions: usize) -> Incident {
+/// L_d, τ̄ and T at `p`, from `directions` fixed directions; `sigma` is extinction per channel. What stands around dims the
+/// light alone: τ̄ and T are of the smoke itself.
+pub fn incident(
+    p: DVec3,
+    coarse: &Grid,
+    lighting: &Lighting,
+    sigma: DVec3,
+    around: &Surroundings,
+    directions: usize,
+) -> Incident {
     let solid_angle = 4.0 * PI / directions as f64;
     let mean_sigma = sigma.element_sum() / 3.0;
     let mut incident = Incident::default();
     for dir in fibonacci(directions) {
         let radiance = lighting.environment.evaluate(lighting.env_from_local * dir);
-        let column = column(&Ray::new(p, dir), coarse);
+        let ray = Ray::new(p, dir);
+        let column = column(&ray, coarse);
         let passing = (sigma * column).map(transmittance);
-        incident.light.accumulate(dir, radiance * passing * solid_angle);
+        let seen = around.unhidden(p, dir) * transmittance(around.other_depth(&ray));
+        incident.light.accumulate(dir, radiance * passing * (seen * solid_angle));
         incident.escape += passing / directions as f64;
         incident.passing.accumulate(dir, transmittance(mean_sigma * column) * solid_angle);
     }
@@ -71,12 +95,7 @@ pub fn incident(p: DVec3, coarse: &Grid, lighting: &Lighting, sigma: DVec3, dire
 
 /// ∫ of the coarse density along `ray` to its end, or to where the density ends, half a cell outside its box.
 pub fn column(ray: &Ray, coarse: &Grid) -> f64 {
-    let Some((start, end)) = ray.clip(half_extent(coarse.shape) + 0.5 * cell_size(coarse.shape)) else {
-        return 0.0;
-    };
-    let step = (end - start) / MARCH_STEPS as f64;
-    let sum: f64 = (0..MARCH_STEPS).map(|i| coarse.sample(ray.at(start + (i as f64 + 0.5) * step))).sum();
-    sum * step
+    march(ray, coarse, MARCH_STEPS)
 }
 
 #[cfg(test)]
@@ -106,7 +125,7 @@ mod tests {
     }
 
     fn direct_light(p: DVec3, coarse: &Grid, lighting: &Lighting, sigma: f64, directions: usize) -> ShRgb {
-        incident(p, coarse, lighting, DVec3::splat(sigma), directions).light
+        incident(p, coarse, lighting, DVec3::splat(sigma), &Surroundings::default(), directions).light
     }
 
     fn uniform(dims: UVec3, value: f64) -> Grid {
@@ -184,13 +203,14 @@ mod tests {
         let grid = uniform(UVec3::splat(8), 1.0);
         let constant = Lighting { environment: ShRgb::constant(DVec3::ONE), ..lighting() };
         let p = DVec3::new(0.3, -0.2, 0.1);
-        let found = incident(p, &grid, &constant, DVec3::splat(4.0), DIRECTIONS);
+        let alone = Surroundings::default();
+        let found = incident(p, &grid, &constant, DVec3::splat(4.0), &alone, DIRECTIONS);
         for (light, passing) in found.light.0.iter().zip(found.passing.0) {
             assert!((*light - passing).abs().max_element() < 1e-14);
         }
         assert!((found.escape - found.passing.0[0] / (4.0 * PI).sqrt()).abs().max_element() < 1e-14);
         // With extinctions that differ, T has their mean.
-        let coloured = incident(p, &grid, &constant, DVec3::new(2.0, 4.0, 6.0), DIRECTIONS);
+        let coloured = incident(p, &grid, &constant, DVec3::new(2.0, 4.0, 6.0), &alone, DIRECTIONS);
         assert_eq!(coloured.passing, found.passing);
         assert!(coloured.escape.x > coloured.escape.y && coloured.escape.y > coloured.escape.z);
     }

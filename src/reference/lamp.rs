@@ -15,6 +15,7 @@ use super::{
     incident_light::{Incident, column, probes, reach},
     outgoing::{Outgoing, Viewer},
     rbf_center,
+    surroundings::Surroundings,
     volume::{Volume, blend_cells, padded_center},
 };
 use crate::{
@@ -129,7 +130,8 @@ pub fn columns(rbfs: &[Rbf], coarse: &Grid, lamp: &Lamp, sigma: f64) -> Vec<Outg
 }
 
 /// Adds to source radiance what a lamp's light adds by scattering to the eye at once, J = Ω p E e^{−σ column}, from
-/// `columns` as [`columns`] gives them; `sigma` is extinction per channel on the way from the lamp.
+/// `columns` as [`columns`] gives them; `sigma` is extinction per channel on the way from the lamp. A sphere in the way
+/// leaves nothing.
 #[expect(clippy::too_many_arguments, reason = "what is lit, by what, seen from where")]
 pub fn shine(
     volume: &mut Volume,
@@ -140,6 +142,7 @@ pub fn shine(
     softening: f64,
     medium: &Medium,
     sigma: DVec3,
+    around: &Surroundings,
     viewer: Viewer,
 ) {
     let shape = volume.shape;
@@ -148,6 +151,9 @@ pub fn shine(
     volume.radiance.par_iter_mut().zip(columns).enumerate().for_each(|(index, (radiance, column))| {
         let x = padded_center(shape, padded.cell(index));
         let Sight { ray, irradiance } = lamp.seen_from(x, softening);
+        if around.hides(&ray) {
+            return;
+        }
         let phase = henyey_greenstein(ray.dir.dot(viewer.look(x)), medium.g);
         *radiance += medium.albedo * irradiance * (sigma * column).map(transmittance) * phase;
     });
@@ -190,7 +196,7 @@ pub fn shine_again(
     });
 }
 
-/// Incident light with that of lamps: what smoke scatters again.
+/// Incident light with that of lamps, past what stands around: what smoke scatters again.
 ///
 /// A lamp is a point mass, E e^{−σ column} y_k. Near a lamp 1/d² changes much within an RBF: then its mean is not that of
 /// the probes, but the Gaussian's own, (2/r²) Daw(u)/u at a distance of u radii. Only
@@ -201,6 +207,7 @@ pub fn with_lamps(
     coarse: &Grid,
     lamps: &Lamps,
     sigma: DVec3,
+    around: &Surroundings,
 ) -> Vec<[Incident; PROBES]> {
     let rbf = |(incident, rbf): (&[Incident; PROBES], &Rbf)| {
         let (mut incident, points) = (*incident, probes(rbf, reach(rbf, sigma.element_sum() / 3.0)));
@@ -208,7 +215,10 @@ pub fn with_lamps(
             let scale = mean_scale(rbf, &points, lamp, lamps.softening);
             for (incident, point) in incident.iter_mut().zip(points) {
                 let Sight { ray, irradiance } = lamp.seen_from(point, lamps.softening);
-                let passing = (sigma * column(&ray, coarse)).map(transmittance);
+                if around.hides(&ray) {
+                    continue;
+                }
+                let passing = (sigma * column(&ray, coarse) + around.other_depth(&ray)).map(transmittance);
                 incident.light.accumulate(ray.dir, irradiance * passing * scale);
             }
         }

@@ -25,6 +25,7 @@ use core::f64::consts::PI;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::surroundings::Surroundings;
 use super::{
     Grid, Medium, PROBES,
     incident_light::{Incident, Lighting, incident_light},
@@ -88,7 +89,12 @@ pub fn multiple_scattering(
     let sigma = DeltaM::new(medium).sigma;
     let incident = incident_light(rbfs, coarse, lighting, sigma);
     let pairs = pair_matrix(rbfs, coarse, sigma.element_sum() / 3.0);
-    let gathered = scattered_light(rbfs, &pairs, &with_lamps(&incident, rbfs, coarse, lamps, sigma), medium);
+    let gathered = scattered_light(
+        rbfs,
+        &pairs,
+        &with_lamps(&incident, rbfs, coarse, lamps, sigma, &Surroundings::default()),
+        medium,
+    );
     source_radiance(&incident, &gathered, &surroundings(rbfs, &pairs), medium)
 }
 

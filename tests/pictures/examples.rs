@@ -11,6 +11,9 @@ use bevy_smoke::prelude::*;
 use crate::scene::save;
 
 #[allow(dead_code)]
+#[path = "../../examples/character/main.rs"]
+mod character;
+#[allow(dead_code)]
 #[path = "../../examples/demo.rs"]
 mod demo;
 #[allow(dead_code)]
@@ -77,6 +80,27 @@ fn demo_shows_smoke_and_meshes() {
     let blue = count(&|[r, g, b, _]| 2 * u32::from(b) > 3 * u32::from(r) && 2 * u32::from(b) > 3 * u32::from(g));
     assert!(red > 1000, "the sphere in front of the smoke: {red} pixels");
     assert!(blue > 1000, "the wall behind it: {blue} pixels");
+}
+
+#[test]
+fn character_walks_through_smoke() {
+    let size = UVec2::new(320, 200);
+    let mut headless = Headless::new(size, TextureFormat::Rgba8UnormSrgb).unwrap();
+    headless.draw_cameras_to_image();
+    headless.app.add_systems(Startup, character::setup).add_systems(Update, character::walk);
+    character::ready(&mut headless);
+    let pixels = |headless: &Headless| -> Vec<[u8; 4]> { headless.pixels().as_chunks().0.to_vec() };
+    let first = pixels(&headless);
+    save("character", size, first.as_flattened());
+    // Half a step later another pixels are the figure's, and as many.
+    headless.app.insert_resource(TimeUpdateStrategy::ManualDuration(Duration::from_millis(300)));
+    headless.app.update();
+    let later = pixels(&headless);
+    let is_figure = |[r, _, b, _]: &[u8; 4]| 2 * u32::from(*r) > 3 * u32::from(*b);
+    let [before, after] = [&first, &later].map(|pixels| pixels.iter().filter(|pixel| is_figure(pixel)).count());
+    assert!(before > 300 && after > 300, "the figure covers {before} and then {after} pixels");
+    let moved = first.iter().zip(&later).filter(|(a, b)| is_figure(a) != is_figure(b)).count();
+    assert!(moved > 200, "{moved} pixels became the figure's or ceased to be");
 }
 
 #[test]

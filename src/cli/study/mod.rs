@@ -2,6 +2,7 @@
 
 mod flicker;
 mod sphere;
+mod spheres;
 mod stability;
 
 use clap::Subcommand;
@@ -10,6 +11,7 @@ pub(super) const EXAMPLES: &str = "\
   smoke study sphere
   smoke study sphere --paths 10000000 --json
   smoke study stability > docs/stability.md
+  smoke study spheres --spheres 16,32
   smoke study flicker plume.smoke --density plume_*.vdb";
 
 /// What to study.
@@ -26,6 +28,9 @@ pub enum Study {
     /// over the change of the true picture, in single scattering. The truth is computed from the densities they were baked
     /// from, without noise
     Flicker(flicker::FlickerArgs),
+    /// How close fitted spheres come to the meshes they stand for in smoke's light, and how long fitting takes. Prints
+    /// tables: a cube, a wall, a torus, a figure that walks, and ground
+    Spheres(spheres::SpheresArgs),
 }
 
 /// Runs `smoke study`.
@@ -34,5 +39,6 @@ pub fn run(study: &Study) -> anyhow::Result<()> {
         Study::Sphere(args) => sphere::run(args),
         Study::Stability(args) => stability::run(args),
         Study::Flicker(args) => flicker::run(args),
+        Study::Spheres(args) => spheres::run(args),
     }
 }

@@ -4,6 +4,7 @@ use glam::{DMat3, UVec3};
 
 use super::*;
 use crate::optics::gaussian_column;
+use crate::reference::surroundings::Surroundings;
 use crate::reference::{
     DIRECTIONS, center,
     coarse::coarse,
@@ -41,7 +42,8 @@ fn lit(rbfs: &[Rbf], density: &Grid, coarse: &Grid, lamp: &Lamp) -> Volume {
     let bins = RbfBins::new(rbfs, density.shape);
     let mut volume = volume(rbfs, &dark, &bins, density);
     let (columns, sigma) = (columns(rbfs, coarse, lamp, 0.0), DVec3::splat(MEDIUM.sigma));
-    shine(&mut volume, rbfs, &bins, &columns, lamp, SOFTENING, &MEDIUM, sigma, VIEWER);
+    let alone = Surroundings::default();
+    shine(&mut volume, rbfs, &bins, &columns, lamp, SOFTENING, &MEDIUM, sigma, &alone, VIEWER);
     volume
 }
 
@@ -182,7 +184,7 @@ fn many_suns_make_a_sky() {
         incident_light(&RBFS, &grid, &Lighting { environment, env_from_local: DMat3::IDENTITY }, sigma)
     });
     let pairs = pair_matrix(&RBFS, &grid, 4.0);
-    let lit = with_lamps(&night, &RBFS, &grid, &Lamps { lamps, softening: SOFTENING }, sigma);
+    let lit = with_lamps(&night, &RBFS, &grid, &Lamps { lamps, softening: SOFTENING }, sigma, &Surroundings::default());
     let [expected, found] = [&sky, &lit].map(|light| scattered_light(&RBFS, &pairs, light, &MEDIUM));
     for (expected, found) in expected.iter().zip(&found) {
         for (expected, found) in expected.0.iter().zip(found.0) {
@@ -231,7 +233,7 @@ fn light_to_scatter_is_bright_near_a_lamp_but_not_endlessly() {
     let dark = [[Incident::default(); PROBES]];
     for (position, softening) in [(DVec3::new(0.13, 0.01, 0.0), 9e-4), (DVec3::new(-0.6, 0.3, 0.2), 1e-4)] {
         let lamps = Lamps { lamps: vec![point(position)], softening };
-        let found = with_lamps(&dark, &[rbf], &grid, &lamps, DVec3::splat(5.0));
+        let found = with_lamps(&dark, &[rbf], &grid, &lamps, DVec3::splat(5.0), &Surroundings::default());
         let mean = found[0].iter().fold(DVec3::ZERO, |sum, probe| sum + probe.light.0[0]) / PROBES as f64;
         let expected = INTENSITY * mean_inverse_square(position.distance(rbf_center(&rbf)), 0.1f32.into());
         assert!((mean / expected * (4.0 * PI).sqrt() - 1.0).abs().max_element() < 1e-12, "{mean} for {expected}");

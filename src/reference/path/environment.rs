@@ -94,6 +94,19 @@ impl EquirectImage {
         row(top as i64).lerp(row(top as i64 + 1), fy).as_dvec3()
     }
 
+    /// The direction of every texel's centre and its light, radiance times solid angle.
+    pub fn texels(&self) -> impl Iterator<Item = (DVec3, DVec3)> {
+        let [width, height] = self.size;
+        self.texels.iter().enumerate().map(move |(index, texel)| {
+            let [x, y] = [index % width, index / width].map(|i| i as f64);
+            let (sin_phi, cos_phi) = (2.0 * PI * (x + 0.5) / width as f64).sin_cos();
+            let (sin, cos) = (PI * (y + 0.5) / height as f64).sin_cos();
+            let [above, below] = [y, y + 1.0].map(|y| (PI * y / height as f64).cos());
+            let solid_angle = (above - below) * 2.0 * PI / width as f64;
+            (DVec3::new(sin_phi * sin, cos, -cos_phi * sin), texel.as_dvec3() * solid_angle)
+        })
+    }
+
     /// Probability per steradian with which [`sample`](Self::sample) draws `w`; 0 from a black image.
     pub fn density(&self, w: DVec3) -> f64 {
         let [x, y] = self.place(w).map(|p| p as usize);

@@ -51,6 +51,11 @@ impl Light {
     /// A random ray from `x` to the light, which it ends at, and the light's irradiance at `x` without smoke, on a
     /// surface that faces the ray: the mean over rays weights the light's parts as they shine. `None` in the dark.
     pub fn sample(&self, x: DVec3, rng: &mut Rng) -> Option<(Ray, DVec3)> {
+        self.ray(x, [rng.uniform(), rng.uniform()])
+    }
+
+    /// The same ray for a place on the light, two numbers from 0 to 1: how far out on a sun's disc, and how far around.
+    pub fn ray(&self, x: DVec3, place: [f64; 2]) -> Option<(Ray, DVec3)> {
         match *self {
             Self::Sun { direction, irradiance, angle } => {
                 if angle == 0.0 {
@@ -59,15 +64,15 @@ impl Light {
                 // Uniform over the cap of solid angle 2π(1−cos). A facing surface gets radiance · π sin² of it, so
                 // that radiance times solid angle is irradiance · 2(1−cos)/sin² = irradiance · 2/(1+cos).
                 let cos_edge = (0.5 * angle).cos();
-                let cos = 1.0 - rng.uniform() * (1.0 - cos_edge);
-                Some((Ray::new(x, turned(direction, cos, rng)), irradiance * (2.0 / (1.0 + cos_edge))))
+                let cos = 1.0 - place[0] * (1.0 - cos_edge);
+                Some((Ray::new(x, turned(direction, cos, place[1])), irradiance * (2.0 / (1.0 + cos_edge))))
             }
             Self::Point { position, intensity } => {
                 let (dir, distance) = toward(position, x)?;
                 Some((Ray { t_max: distance, ..Ray::new(x, dir) }, intensity / (distance * distance)))
             }
             Self::Spot { position, direction, intensity, inner, outer } => {
-                let (ray, irradiance) = Self::Point { position, intensity }.sample(x, rng)?;
+                let (ray, irradiance) = Self::Point { position, intensity }.ray(x, place)?;
                 let share = spot_falloff(-direction.dot(ray.dir), inner, outer);
                 (share > 0.0).then_some((ray, irradiance * share))
             }

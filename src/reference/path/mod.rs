@@ -10,6 +10,9 @@
 //! for but placed along the path as the lamp sees it (equi-angular sampling, Kulla and Fajardo 2012); light that first
 //! scatters there and then again keeps a few bright specks.
 //!
+//! [`Surfaces`] block light and reflect it; what they look like themselves, behind the smoke, is a picture of its own
+//! ([`render_background`]).
+//!
 //! Error estimates that discount noise need two independent halves: two [`render`]s with different seeds.
 
 mod environment;
@@ -24,7 +27,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Grid, Medium, Ray, half_extent};
+use super::{
+    Grid, Medium, Ray, half_extent,
+    surface::{Hit, Surfaces},
+};
 use crate::optics::henyey_greenstein;
 use crate::random::SplitMix64;
 use tracking::Extinction;
@@ -47,14 +53,52 @@ pub struct Scene<'a> {
     g: f64,
     environment: Environment<'a>,
     lights: &'a [Light],
+    surfaces: Surfaces,
+}
+
+/// Where a path turns, and by what.
+#[derive(Clone, Copy)]
+struct Event {
+    x: DVec3,
+    /// Share of the light that goes on, per RGB channel.
+    albedo: DVec3,
+    turn: Turn,
+}
+
+/// What turns a path.
+#[derive(Clone, Copy)]
+enum Turn {
+    /// Smoke of this mean cosine, which the path met along a direction.
+    Smoke { before: DVec3, g: f64 },
+    /// A Lambertian surface of this normal.
+    Surface { normal: DVec3 },
+}
+
+impl Turn {
+    /// Probability per steradian of going on along `w`; light from there goes on along the path in the same measure.
+    fn density(self, w: DVec3) -> f64 {
+        match self {
+            // The angle between light's directions of travel is that between the path's, which runs against it.
+            Self::Smoke { before, g } => henyey_greenstein(before.dot(w), g),
+            Self::Surface { normal } => normal.dot(w).max(0.0) / PI,
+        }
+    }
+
+    /// A random direction of that density.
+    fn sample(self, rng: &mut Rng) -> DVec3 {
+        match self {
+            Self::Smoke { before, g } => scatter(before, g, rng),
+            Self::Surface { normal } => turned(normal, (1.0 - rng.uniform()).sqrt(), rng.uniform()),
+        }
+    }
 }
 
 /// Which paths count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Events {
-    /// Those that scatter exactly once.
+    /// Those that scatter exactly once, and are not reflected.
     Single,
-    /// Those that scatter at least once.
+    /// Those that scatter at least once, or are reflected.
     All,
 }
 
@@ -63,40 +107,73 @@ impl<'a> Scene<'a> {
     pub fn new(density: &Grid, medium: Medium, environment: Environment<'a>, lights: &'a [Light]) -> Self {
         let smoke = Extinction::new(density, medium.sigma);
         let half_extent = half_extent(density.shape);
-        Self { smoke, half_extent, albedo: medium.albedo, g: medium.g, environment, lights }
+        Self {
+            smoke,
+            half_extent,
+            albedo: medium.albedo,
+            g: medium.g,
+            environment,
+            lights,
+            surfaces: Surfaces::default(),
+        }
     }
 
-    /// Light that arrives at `x` from what is looked for there, and is scattered into a path that came along `dir`;
-    /// per albedo.
-    fn next_event(&self, x: DVec3, dir: DVec3, rng: &mut Rng) -> DVec3 {
+    /// The same with surfaces in it.
+    pub fn with_surfaces(self, surfaces: Surfaces) -> Self {
+        Self { surfaces, ..self }
+    }
+
+    /// `ray` up to the first surface, and that.
+    fn up_to_surface(&self, ray: &Ray) -> (Ray, Option<Hit>) {
+        let hit = self.surfaces.hit(ray);
+        (Ray { t_max: hit.map_or(ray.t_max, |hit| hit.t), ..*ray }, hit)
+    }
+
+    /// Smoke that a path met at `x` along `before`.
+    fn scattering(&self, x: DVec3, before: DVec3) -> Event {
+        Event { x, albedo: self.albedo, turn: Turn::Smoke { before, g: self.g } }
+    }
+
+    /// A random number whose mean is the share of light that arrives along `ray`.
+    fn passing(&self, ray: &Ray, rng: &mut Rng) -> f64 {
+        if self.surfaces.block(ray) { 0.0 } else { self.smoke.transmittance(ray, rng) }
+    }
+
+    /// Light that arrives at `x` from what is looked for there, and is turned into a path; per albedo.
+    fn next_event(&self, x: DVec3, turn: Turn, rng: &mut Rng) -> DVec3 {
         let mut sum = DVec3::ZERO;
         for light in self.lights {
-            if light.lamp().is_some_and(|lamp| lamp.distance_squared(x) < NEAR * NEAR) {
+            // Smoke there is near_lamps's.
+            let near = light.lamp().is_some_and(|lamp| lamp.distance_squared(x) < NEAR * NEAR);
+            if near && matches!(turn, Turn::Smoke { .. }) {
                 continue;
             }
             if let Some((ray, irradiance)) = light.sample(x, rng) {
-                sum += irradiance * (henyey_greenstein(dir.dot(ray.dir), self.g) * self.smoke.transmittance(&ray, rng));
+                sum += self.arriving(&ray, irradiance * turn.density(ray.dir), rng);
             }
         }
         if let Environment::Image(image) = self.environment
             && let Some((w, density)) = image.sample(rng)
         {
-            // The phase function is the density with which scattering itself finds `w`.
-            let phase = henyey_greenstein(dir.dot(w), self.g);
-            let weight = phase / (density + phase);
-            sum += image.radiance(w) * (weight * self.smoke.transmittance(&Ray::new(x, w), rng));
+            let turned = turn.density(w);
+            sum += self.arriving(&Ray::new(x, w), image.radiance(w) * (turned / (density + turned)), rng);
         }
         sum
     }
 
-    /// The environment's radiance from `w`, found by scattering from `dir`: all of it, or the share that looking for
-    /// an image's light leaves to scattering.
-    fn met(&self, w: DVec3, dir: DVec3) -> DVec3 {
+    /// What arrives of `light` along `ray`, on the mean.
+    fn arriving(&self, ray: &Ray, light: DVec3, rng: &mut Rng) -> DVec3 {
+        if light == DVec3::ZERO { DVec3::ZERO } else { light * self.passing(ray, rng) }
+    }
+
+    /// The environment's radiance from `w`, found by a turn: all of it, or the share that looking for an image's light
+    /// leaves to turning.
+    fn met(&self, w: DVec3, turn: Turn) -> DVec3 {
         match self.environment {
             Environment::Function(radiance) => radiance(w),
             Environment::Image(image) => {
-                let phase = henyey_greenstein(dir.dot(w), self.g);
-                image.radiance(w) * (phase / (image.density(w) + phase))
+                let turned = turn.density(w);
+                image.radiance(w) * (turned / (image.density(w) + turned))
             }
         }
     }
@@ -125,7 +202,7 @@ impl<'a> Scene<'a> {
                 let per_t = (to - from) * lamp.distance_squared(x) / height;
                 let there = self.smoke.sample(x) * self.smoke.transmittance(&Ray { t_max: t, ..*ray }, rng);
                 let phase = henyey_greenstein(ray.dir.dot(to_lamp.dir), self.g);
-                sum += irradiance * (per_t * there * phase * self.smoke.transmittance(&to_lamp, rng));
+                sum += irradiance * (per_t * there * phase * self.passing(&to_lamp, rng));
             }
         }
         sum
@@ -134,27 +211,45 @@ impl<'a> Scene<'a> {
 
 /// One sample of the media radiance along `ray`, without background: a path, followed from the eye.
 ///
-/// An opaque surface ends `ray` itself, and does not shade the smoke.
+/// The end of `ray` is that of sight alone: it does not shade the smoke, as [surfaces](Scene::with_surfaces) do.
 pub fn trace(scene: &Scene, ray: &Ray, events: Events, rng: &mut Rng) -> DVec3 {
-    let mut ray = *ray;
+    let (ray, _) = scene.up_to_surface(ray);
+    let near = scene.albedo * scene.near_lamps(&ray, rng);
+    match scene.smoke.collide(&ray, rng) {
+        Some(t) => near + follow(scene, scene.scattering(ray.at(t), ray.dir), events, rng),
+        None => near,
+    }
+}
+
+/// One sample of what is seen along `ray` through the smoke: the first surface, or the environment behind everything.
+pub fn trace_background(scene: &Scene, ray: &Ray, events: Events, rng: &mut Rng) -> DVec3 {
+    let (ray, hit) = scene.up_to_surface(ray);
+    if scene.smoke.collide(&ray, rng).is_some() {
+        return DVec3::ZERO;
+    }
+    match hit {
+        Some(hit) => follow(scene, reflection(&ray, hit), events, rng),
+        None if ray.t_max == f64::INFINITY => scene.environment.radiance(ray.dir),
+        None => DVec3::ZERO,
+    }
+}
+
+/// The surface that a path met along `ray`.
+fn reflection(ray: &Ray, hit: Hit) -> Event {
+    Event { x: ray.at(hit.t), albedo: hit.albedo, turn: Turn::Surface { normal: hit.normal } }
+}
+
+/// A sample of the radiance that `event` sends back along the path.
+fn follow(scene: &Scene, mut event: Event, events: Events, rng: &mut Rng) -> DVec3 {
     let mut throughput = DVec3::ONE;
     let mut radiance = DVec3::ZERO;
-    // The path's direction before it was last scattered.
-    let mut before = None;
     loop {
-        radiance += throughput * scene.albedo * scene.near_lamps(&ray, rng);
-        let Some(t) = scene.smoke.collide(&ray, rng) else {
-            return before.map_or(radiance, |before| radiance + throughput * scene.met(ray.dir, before));
-        };
-        let x = ray.at(t);
-        throughput *= scene.albedo;
-        radiance += throughput * scene.next_event(x, ray.dir, rng);
-        before = Some(ray.dir);
-        // The angle between light's directions of travel is that between the path's, which runs against it.
-        ray = Ray::new(x, scatter(ray.dir, scene.g, rng));
+        let Event { x, albedo, turn } = event;
+        throughput *= albedo;
+        radiance += throughput * scene.next_event(x, turn, rng);
+        let ray = Ray::new(x, turn.sample(rng));
         if events == Events::Single {
-            let met = scene.met(ray.dir, before.unwrap_or_default());
-            return radiance + throughput * met * scene.smoke.transmittance(&ray, rng);
+            return radiance + throughput * scene.arriving(&ray, scene.met(ray.dir, turn), rng);
         }
         let most = throughput.max_element();
         if most < ROULETTE {
@@ -163,6 +258,13 @@ pub fn trace(scene: &Scene, ray: &Ray, events: Events, rng: &mut Rng) -> DVec3 {
             }
             throughput *= ROULETTE / most;
         }
+        let (ray, hit) = scene.up_to_surface(&ray);
+        radiance += throughput * scene.albedo * scene.near_lamps(&ray, rng);
+        event = match (scene.smoke.collide(&ray, rng), hit) {
+            (Some(t), _) => scene.scattering(ray.at(t), ray.dir),
+            (None, Some(hit)) => reflection(&ray, hit),
+            (None, None) => return radiance + throughput * scene.met(ray.dir, turn),
+        };
     }
 }
 
@@ -178,12 +280,12 @@ pub(super) fn scatter(dir: DVec3, g: f64, rng: &mut Rng) -> DVec3 {
         (1.0 + g * g - s * s) / (2.0 * g)
     }
     .clamp(-1.0, 1.0);
-    turned(dir, cos, rng)
+    turned(dir, cos, rng.uniform())
 }
 
-/// A unit vector at the angle of cosine `cos` to `axis`, in a random direction about it.
-fn turned(axis: DVec3, cos: f64, rng: &mut Rng) -> DVec3 {
-    let (y, x) = (2.0 * PI * rng.uniform()).sin_cos();
+/// A unit vector at the angle of cosine `cos` to `axis`, a share `turn` of the way around it.
+pub(super) fn turned(axis: DVec3, cos: f64, turn: f64) -> DVec3 {
+    let (y, x) = (2.0 * PI * turn).sin_cos();
     let (across, up) = axis.any_orthonormal_pair();
     (axis * cos + (across * x + up * y) * (1.0 - cos * cos).max(0.0).sqrt()).normalize()
 }
@@ -203,15 +305,39 @@ pub fn render(
     seed: u64,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Vec<DVec3> {
-    let [width, height] = size.map(|side| side as usize);
+    average(size, spp, seed, progress, |x, y, rng| trace(scene, &camera(x, y), events, rng))
+}
+
+/// The same of what is seen through the smoke: surfaces, and the environment behind everything.
+pub fn render_background(
+    scene: &Scene,
+    size: [u32; 2],
+    camera: impl Fn(f64, f64) -> Ray + Sync,
+    events: Events,
+    spp: u32,
+    seed: u64,
+    progress: &(dyn Fn(f64) + Sync),
+) -> Vec<DVec3> {
+    average(size, spp, seed, progress, |x, y, rng| trace_background(scene, &camera(x, y), events, rng))
+}
+
+/// Means of `spp` samples at random places of every pixel.
+fn average(
+    [width, height]: [u32; 2],
+    spp: u32,
+    seed: u64,
+    progress: &(dyn Fn(f64) + Sync),
+    sample: impl Fn(f64, f64, &mut Rng) -> DVec3 + Sync,
+) -> Vec<DVec3> {
+    let [width, height] = [width, height].map(|side| side as usize);
     let mut image = vec![DVec3::ZERO; width * height];
     let done = AtomicUsize::new(0);
     image.par_chunks_mut(width.max(1)).enumerate().for_each(|(y, row)| {
         for (x, pixel) in row.iter_mut().enumerate() {
             let mut rng = Rng::new(seed, (y * width + x) as u64);
             let mut sample = || {
-                let ray = camera(x as f64 + rng.uniform(), y as f64 + rng.uniform());
-                trace(scene, &ray, events, &mut rng)
+                let (x, y) = (x as f64 + rng.uniform(), y as f64 + rng.uniform());
+                sample(x, y, &mut rng)
             };
             *pixel = (0..spp).map(|_| sample()).sum::<DVec3>() / f64::from(spp);
         }
@@ -220,7 +346,7 @@ pub fn render(
     image
 }
 
-/// 1 − transmittance of every pixel of the same image, without noise: marched, and averaged over a grid of 4 × 4 rays a
+/// 1 − transmittance of every pixel of the same image up to the first surface, without noise: marched, and averaged over a grid of 4 × 4 rays a
 /// pixel.
 pub fn alpha(scene: &Scene, size: [u32; 2], camera: impl Fn(f64, f64) -> Ray + Sync) -> Vec<f64> {
     let width = size[0] as usize;
@@ -230,7 +356,7 @@ pub fn alpha(scene: &Scene, size: [u32; 2], camera: impl Fn(f64, f64) -> Ray + S
         .map(|index| {
             let (x, y) = ((index % width) as f64, (index / width) as f64);
             let rays = (0..ALPHA_RAYS).flat_map(|j| (0..ALPHA_RAYS).map(move |i| (x + sub(i), y + sub(j))));
-            let kept: f64 = rays.map(|(x, y)| scene.smoke.march(&camera(x, y))).sum();
+            let kept: f64 = rays.map(|(x, y)| scene.smoke.march(&scene.up_to_surface(&camera(x, y)).0)).sum();
             1.0 - kept / f64::from(ALPHA_RAYS * ALPHA_RAYS)
         })
         .collect()

@@ -1,3 +1,5 @@
+mod surfaces;
+
 use glam::{UVec3, Vec3};
 
 use super::{tracking::BLOCK, *};
@@ -250,9 +252,9 @@ fn a_lamps_light_all_leaves_white_smoke() {
     // Discs about the lamp (beyond half a unit the blob has 1e-4 of its density), with radii drawn evenly and not areas: radiance goes with one over the radius.
     let radius = 0.5;
     let found = mean(100_000, |rng| {
-        let dir = turned(DVec3::Z, 2.0 * rng.uniform() - 1.0, rng);
+        let dir = turned(DVec3::Z, 2.0 * rng.uniform() - 1.0, rng.uniform());
         let r = radius * rng.uniform();
-        let origin = position + turned(dir, 0.0, rng) * r - dir * 2.0;
+        let origin = position + turned(dir, 0.0, rng.uniform()) * r - dir * 2.0;
         trace(&scene, &Ray::new(origin, dir), Events::All, rng) * (4.0 * PI * 2.0 * PI * radius * r)
     });
     assert_mean(found, expected, 1e-3);

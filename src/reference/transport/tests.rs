@@ -119,7 +119,8 @@ fn single_scattering_scales_the_bands() {
     let found = single_scattering(&[rbf], &grid, &sky(), &medium);
     assert_eq!(found.len(), 1);
     for (j, p) in found[0].iter().zip(probes(&rbf, rbf.radius.into())) {
-        let direct = incident(p, &grid, &sky(), DVec3::splat(medium.sigma), DIRECTIONS).light;
+        let (sigma, alone) = (DVec3::splat(medium.sigma), Surroundings::default());
+        let direct = incident(p, &grid, &sky(), sigma, &alone, DIRECTIONS).light;
         for k in 0..16 {
             let expected = medium.albedo * direct.0[k] * 0.4f64.powi(band(k) as i32);
             assert!((j.0[k] - expected).length() < 1e-14);

@@ -17,13 +17,14 @@ mod paper;
 mod pipelines;
 mod scattering;
 mod scenes;
+mod shadow_probes;
 mod view;
 mod volume;
 
 use std::sync::Arc;
 
 use bevy::color::LinearRgba;
-use bevy::math::{DVec3, UVec2, UVec3, Vec3};
+use bevy::math::{DAffine3, DMat4, DQuat, DVec3, DVec4, UVec2, UVec3, Vec3};
 use bevy::render::RenderApp;
 use bevy::render::render_resource::{
     Buffer, BufferInitDescriptor, BufferUsages, CommandEncoderDescriptor, ComputePassDescriptor, Extent3d,
@@ -35,9 +36,11 @@ use half::f16;
 
 use super::SmokePasses;
 use super::baked::GpuBakedFrame;
-use super::frame::{FILTERED_FORMAT, GpuSmokeFrame};
+use super::casters::CasterUniform;
+use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, uniform};
 use super::lighting::{LampUniform, LightingUniform, MAX_LAMPS};
 use super::pass::{ComputePass, Job};
+use super::surroundings::SurroundingsUniform;
 use crate::bundle::SmokeFrame;
 use crate::density::GridShape;
 use crate::headless::{Headless, read_buffer, read_texture};
@@ -47,6 +50,7 @@ use crate::playback::Moment;
 use crate::rbf::{Rbf, RbfModel};
 use crate::reference::incident_light::{Incident, column, probes};
 use crate::reference::lamp::{Cone, Lamp, Lamps};
+use crate::reference::surroundings::{Other, Surroundings};
 use crate::reference::{self, Grid, PROBES};
 use crate::residual::{HashedResidual, QuantizationLaw};
 use crate::sh::{Sh, ShRgb};
@@ -57,6 +61,76 @@ const MAX_DENSITY: f32 = 2.0;
 const EXACT: f64 = 2e-5;
 /// Bound for passes that read or write f16 textures.
 const HALF: f64 = 1e-3;
+
+/// What stands around the smoke, on the GPU.
+struct Around {
+    surroundings: Buffer,
+    spheres: Buffer,
+    densities: TextureView,
+}
+
+impl Around {
+    fn new(gpu: &Gpu, around: &Surroundings) -> Self {
+        let mut value = SurroundingsUniform {
+            caster_count: around.others.len() as u32,
+            sphere_count: around.spheres.len() as u32,
+            ..Default::default()
+        };
+        for (slot, other) in around.others.iter().enumerate() {
+            value.casters[slot] = caster_uniform(other, slot as u32);
+        }
+        let spheres: Vec<[f32; 4]> = around.spheres.iter().map(|s| s.as_vec4().to_array()).collect();
+        Self {
+            surroundings: uniform(gpu.device(), gpu.queue(), "test", value),
+            spheres: gpu.buffer(if spheres.is_empty() { &[[0.0; 4]] } else { &spheres[..] }),
+            densities: caster_densities(gpu, &around.others),
+        }
+    }
+}
+
+fn caster_uniform(other: &Other, slot: u32) -> CasterUniform {
+    let shape = other.coarse.shape;
+    CasterUniform {
+        bundle_from_here: DMat4::from(other.from_here).as_mat4(),
+        half_extent: shape.half_extent(),
+        sigma: other.sigma as f32,
+        padded: (shape.dims + 2).as_vec3(),
+        texel: shape.cell_size(),
+        slot,
+    }
+}
+
+/// The casters' coarse densities, a slot above the other.
+fn caster_densities(gpu: &Gpu, others: &[Other]) -> TextureView {
+    let dims = UVec3::new(66, 66, 66 * others.len().max(1) as u32);
+    gpu.texture_3d(dims, FILTERED_FORMAT, |texel| {
+        let Some(Other { coarse, .. }) = others.get((texel.z / 66) as usize) else { return 0.0 };
+        let texel = UVec3::new(texel.x, texel.y, texel.z % 66);
+        let inside = texel.cmpge(UVec3::ONE).all() && texel.cmple(coarse.shape.dims).all();
+        if inside { coarse.values[coarse.shape.index(texel - 1)] as f32 } else { 0.0 }
+    })
+}
+
+/// Other smoke and some spheres around the fixture; one sphere holds some of its probes, one the lamp in it.
+fn surroundings(frame: &SmokeFrame) -> Surroundings {
+    let coarse = crate::reference::coarse::coarse(&twin_density(frame));
+    let at = |offset: DVec3, scale: f64| {
+        let turn = DQuat::from_rotation_y(0.7);
+        DAffine3::from_scale_rotation_translation(DVec3::splat(scale), turn, offset).inverse()
+    };
+    Surroundings {
+        others: vec![
+            Other { coarse: coarse.clone(), from_here: at(DVec3::new(0.6, 0.7, 0.2), 0.8), sigma: 2.0 },
+            Other { coarse, from_here: at(DVec3::new(-0.3, -0.2, 0.9), 1.5), sigma: 0.7 },
+        ],
+        spheres: vec![
+            DVec4::new(0.5, 0.4, -0.3, 0.25),
+            DVec4::new(-0.1, -0.3, 0.1, 0.15),
+            DVec4::new(0.06, -0.03, 0.1, 0.12),
+            DVec4::new(0.0, -9.0, 0.0, 8.5),
+        ],
+    }
+}
 
 /// A device with the smoke pipelines on it.
 struct Gpu {
@@ -337,10 +411,21 @@ fn twin_lamps() -> Lamps {
     Lamps { lamps: lamps().iter().map(lamp).collect(), softening: SOFTENING.into() }
 }
 
-/// The twin's columns to them, [`MAX_LAMPS`] a probe, with probes as far out as `reach` says.
-fn twin_columns(rbfs: &[Rbf], coarse: &Grid, reach: impl Fn(&Rbf) -> f64) -> Vec<f32> {
+/// The twin's columns to them, [`MAX_LAMPS`] a probe, with probes as far out as `reach` says; below 0 to those that are
+/// hidden.
+fn twin_columns(
+    rbfs: &[Rbf],
+    coarse: &Grid,
+    around: &Surroundings,
+    sigma: DVec3,
+    reach: impl Fn(&Rbf) -> f64,
+) -> Vec<f32> {
     let lamps = twin_lamps().lamps;
-    let to = |p: DVec3, lamp: &Lamp| column(&lamp.seen_from(p, 0.0).ray, coarse) as f32;
+    let to = |p: DVec3, lamp: &Lamp| {
+        let ray = lamp.seen_from(p, 0.0).ray;
+        let column = column(&ray, coarse) + around.other_depth(&ray) / (sigma.element_sum() / 3.0);
+        (if around.hides(&ray) { -column.max(1e-20) } else { column }) as f32
+    };
     let at = |p: DVec3| -> [f32; MAX_LAMPS] { std::array::from_fn(|i| lamps.get(i).map_or(0.0, |lamp| to(p, lamp))) };
     rbfs.iter().flat_map(|rbf| probes(rbf, reach(rbf)).map(at)).flatten().collect()
 }

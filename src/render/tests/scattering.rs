@@ -43,7 +43,7 @@ fn solve(medium: SmokeMedium, escape: f64, tolerance: f32, sharp: Sharp) -> ([Ve
         steps: &StepUniform::all(tolerance).map(|step| uniform(gpu.device(), gpu.queue(), "test", step)),
         probes: &probes,
         escapes: &escapes,
-        columns: &gpu.buffer(&twin_columns(rbfs, &coarse, |rbf| rbf.radius.into())),
+        columns: &gpu.buffer(&twin_columns(rbfs, &coarse, &surroundings(&frame), sigma, |rbf| rbf.radius.into())),
         matrix: &gpu.buffer(&matrix),
         rows: &gpu.buffer(&rows),
         sources: &zeros(count as u64 * SOURCE_BYTES),
@@ -62,7 +62,7 @@ fn solve(medium: SmokeMedium, escape: f64, tolerance: f32, sharp: Sharp) -> ([Ve
     let found = gpu.read_floats(&gathered);
     let found = unpad(&found[..count * coefficients as usize * 4]).collect();
     let incident = match sharp {
-        Sharp::Lamps => with_lamps(&incident, rbfs, &coarse, &twin_lamps(), sigma),
+        Sharp::Lamps => with_lamps(&incident, rbfs, &coarse, &twin_lamps(), sigma, &surroundings(&frame)),
         Sharp::No => incident,
     };
     let expected = transport::scattered_light(rbfs, &pairs, &incident, &medium_f64);

@@ -73,6 +73,8 @@ fn run(lighting: LightingUniform, medium: &SmokeMedium, brightness: f64) -> ([Ve
     let packed_shades: Vec<_> = (0..rbfs.len()).map(|l| pack_shades(&shades, l)).collect();
     let eye = Vec3::new(0.3, 0.5, 1.2);
     let output = texture_3d(gpu.device(), "test", shape.dims + 2, FILTERED_FORMAT);
+    let around = surroundings(&frame);
+    let buffers = Around::new(&gpu, &around);
     let pass = &gpu.passes().volume;
     let bindings = Bindings {
         frame: &uploaded,
@@ -81,6 +83,8 @@ fn run(lighting: LightingUniform, medium: &SmokeMedium, brightness: f64) -> ([Ve
         outgoing: &gpu.buffer(&fits.iter().map(pack).collect::<Vec<_>>()),
         shades: &gpu.buffer(&packed_shades),
         volume: &output,
+        surroundings: &buffers.surroundings,
+        spheres: &buffers.spheres,
     };
     let bind_group = volume::bind(pass, bindings, gpu.device(), gpu.cache());
     gpu.run(pass, Job { bind_group, workgroups: volume::workgroups(shape) });
@@ -91,7 +95,7 @@ fn run(lighting: LightingUniform, medium: &SmokeMedium, brightness: f64) -> ([Ve
     let (medium, viewer) = (twin_medium(medium, 1.0), Viewer::Perspective { eye: eye.as_dvec3() });
     let lamps = twin_lamps();
     for (lamp, columns) in lamps.lamps.iter().zip(&shades).take(lighting.lamp_count as usize) {
-        shine(&mut twin, rbfs, &bins, columns, lamp, lamps.softening, &medium, sigma, viewer);
+        shine(&mut twin, rbfs, &bins, columns, lamp, lamps.softening, &medium, sigma, &around, viewer);
         if lighting.coefficients > 0 {
             // Extinction is for the scaled density.
             let sigma = sigma / f64::from(MAX_DENSITY);
