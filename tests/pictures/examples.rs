@@ -25,6 +25,9 @@ mod minimal;
 #[allow(dead_code)]
 #[path = "../../examples/playback.rs"]
 mod playback;
+#[allow(dead_code)]
+#[path = "../../examples/terrain.rs"]
+mod terrain;
 
 /// The scene with its smoke, and without it.
 fn pictures<M>(
@@ -131,6 +134,22 @@ fn playback_shows_smoke() {
     let (smoke, all) = (smoky(&pictures), pictures[0].len());
     // The first frame is a puff.
     assert!((all / 40..all / 2).contains(&smoke), "{smoke} of {all} pixels show smoke");
+}
+
+#[test]
+fn terrain_shows_smoke_over_mountains() {
+    let options = terrain::Options { shadows: false, ..default() };
+    let size = UVec2::new(320, 180);
+    let setup = (terrain::setup(options), terrain::light_day).chain();
+    let pictures = pictures("terrain", size, setup);
+    let (smoke, all) = (smoky(&pictures), pictures[0].len());
+    assert!((all / 40..all / 2).contains(&smoke), "{smoke} of {all} pixels show smoke");
+    // A bright sky above, mountains below.
+    let blue = |row: u32| {
+        let row = &pictures[1][(row * size.x) as usize..((row + 1) * size.x) as usize];
+        row.iter().map(|pixel| u32::from(pixel[2])).sum::<u32>() / size.x
+    };
+    assert!(blue(10) > blue(170) + 60, "{} above, {} below", blue(10), blue(170));
 }
 
 /// The keys step through frames, turn playback around and change what happens at the end.
