@@ -26,6 +26,7 @@ use bevy::shader::{Shader, ShaderDefVal};
 
 use super::SmokeRenderStats;
 use super::casters::{CasterUniform, MAX_CASTERS};
+use super::shadow_mask::{self, ViewShadowMask};
 use super::sky::SkyUniform;
 
 /// Name of the pass and its GPU span.
@@ -94,11 +95,21 @@ fn layout(samples: u32) -> BindGroupLayoutDescriptor {
     BindGroupLayoutDescriptor::new(LABEL, &entries)
 }
 
-impl SpecializedRenderPipeline for MeshShadowPass {
-    type Key = MeshPipelineKey;
+/// What a view asks of the pipeline, and whether it has a mask.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) struct MeshShadowKey {
+    view: MeshPipelineKey,
+    masked: bool,
+}
 
-    fn specialize(&self, key: MeshPipelineKey) -> RenderPipelineDescriptor {
+impl SpecializedRenderPipeline for MeshShadowPass {
+    type Key = MeshShadowKey;
+
+    fn specialize(&self, MeshShadowKey { view: key, masked }: MeshShadowKey) -> RenderPipelineDescriptor {
         let samples = key.msaa_samples();
+        let mut defs = shader_defs(key);
+        let mask = masked.then(|| shadow_mask::layout(samples));
+        defs.extend(masked.then(|| "MASKED".into()));
         let view = self.mesh_pipeline.get_view_layout(key.into());
         let multiply = BlendComponent {
             src_factor: BlendFactor::Dst,
@@ -108,10 +119,10 @@ impl SpecializedRenderPipeline for MeshShadowPass {
         let keep = BlendComponent { src_factor: BlendFactor::Zero, dst_factor: BlendFactor::One, ..multiply };
         RenderPipelineDescriptor {
             label: Some(LABEL.into()),
-            layout: vec![view.main_layout, view.binding_array_layout, layout(samples)],
+            layout: [view.main_layout, view.binding_array_layout, layout(samples)].into_iter().chain(mask).collect(),
             vertex: VertexState {
                 shader: self.shader.clone(),
-                shader_defs: shader_defs(key),
+                shader_defs: defs.clone(),
                 entry_point: Some("vertex".into()),
                 ..default()
             },
@@ -119,7 +130,7 @@ impl SpecializedRenderPipeline for MeshShadowPass {
             multisample: MultisampleState { count: samples, ..default() },
             fragment: Some(FragmentState {
                 shader: self.shader.clone(),
-                shader_defs: shader_defs(key),
+                shader_defs: defs,
                 entry_point: Some("fragment".into()),
                 targets: vec![Some(ColorTargetState {
                     format: key.target_format(),
@@ -194,12 +205,12 @@ pub(super) fn prepare_mesh_shadow_pipelines(
     pass: Res<MeshShadowPass>,
     keys: Res<ViewKeyCache>,
     views: Query<(Entity, &ExtractedView), (With<ExtractedCamera>, With<Camera3d>)>,
-    shaded: Query<(), With<ViewMeshShadows>>,
+    shaded: Query<Has<ViewShadowMask>, With<ViewMeshShadows>>,
 ) {
     for (entity, view) in &views {
-        match keys.get(&view.retained_view_entity) {
-            Some(key) if shaded.contains(entity) => {
-                let id = pipelines.specialize(&cache, &pass, *key);
+        match (keys.get(&view.retained_view_entity), shaded.get(entity)) {
+            (Some(key), Ok(masked)) => {
+                let id = pipelines.specialize(&cache, &pass, MeshShadowKey { view: *key, masked });
                 commands.entity(entity).insert(ViewMeshShadowPipeline { id, samples: key.msaa_samples() });
             }
             _ => {
@@ -218,12 +229,13 @@ pub(super) fn mesh_shadows(
         &MeshViewBindGroup,
         &ViewMeshShadows,
         &ViewMeshShadowPipeline,
+        Option<&ViewShadowMask>,
     )>,
     cache: Res<PipelineCache>,
     stats: Res<SmokeRenderStats>,
     mut ctx: RenderContext,
 ) {
-    let (target, depth, camera, mesh_view, shadows, pipeline) = view.into_inner();
+    let (target, depth, camera, mesh_view, shadows, pipeline, mask) = view.into_inner();
     // Pipelines compile while the app runs.
     let Some(render_pipeline) = cache.get_render_pipeline(pipeline.id) else { return };
     let bind_group = ctx.render_device().create_bind_group(
@@ -256,6 +268,9 @@ pub(super) fn mesh_shadows(
     pass.set_bind_group(0, &mesh_view.main, &mesh_view.main_offsets);
     pass.set_bind_group(1, &mesh_view.binding_array, &[]);
     pass.set_bind_group(2, &bind_group, &[]);
+    if let Some(mask) = mask {
+        pass.set_bind_group(3, &mask.bind_group, &[]);
+    }
     pass.draw(0..3, 0..pipeline.samples);
     stats.mesh_shadows.add(1);
     span.end(&mut pass);

@@ -29,6 +29,14 @@ struct MeshShadows {
 @group(2) @binding(3) var densities: texture_3d<f32>;
 @group(2) @binding(4) var shadow_probes: texture_3d<f32>;
 @group(2) @binding(5) var linear: sampler;
+#ifdef MASKED
+// 1 where meshes are that are not shaded.
+#ifdef MULTISAMPLED
+@group(3) @binding(0) var mask_texture: texture_multisampled_2d<f32>;
+#else
+@group(3) @binding(0) var mask_texture: texture_2d<f32>;
+#endif
+#endif
 
 // Radiance of a surface that reflects 18 % over its irradiance.
 const GREY: f32 = 0.18 / 3.14159265;
@@ -57,6 +65,16 @@ fn depth_at(pixel: vec2<i32>, sample: u32) -> f32 {
     return textureLoad(depth_texture, pixel, 0);
 #endif
 }
+
+#ifdef MASKED
+fn is_masked(pixel: vec2<i32>, sample: u32) -> bool {
+#ifdef MULTISAMPLED
+    return textureLoad(mask_texture, pixel, i32(sample)).r > 0.5;
+#else
+    return textureLoad(mask_texture, pixel, 0).r > 0.5;
+#endif
+}
+#endif
 
 fn world_position(pixel: vec2<f32>, depth: f32) -> vec3<f32> {
     let uv = (pixel - view_bindings::view.viewport.xy) / view_bindings::view.viewport.zw;
@@ -168,6 +186,11 @@ fn fragment(in: Vertex) -> Fragment {
     let pixel = in.position.xy;
     let depth = depth_at(vec2<i32>(pixel), in.sample);
     var out: Fragment;
+#ifdef MASKED
+    if is_masked(vec2<i32>(pixel), in.sample) {
+        discard;
+    }
+#endif
 #ifdef MULTISAMPLED
     // Where all samples see about the same depth the first shades them all.
     var nearest = depth;
@@ -177,7 +200,12 @@ fn fragment(in: Vertex) -> Fragment {
         nearest = max(nearest, other);
         farthest = min(farthest, other);
     }
-    let shared_by_all = nearest - farthest < 0.02 * nearest;
+    var shared_by_all = nearest - farthest < 0.02 * nearest;
+#ifdef MASKED
+    for (var i = 0u; i < #{SAMPLES}u; i++) {
+        shared_by_all = shared_by_all && !is_masked(vec2<i32>(pixel), i);
+    }
+#endif
     if shared_by_all && in.sample > 0u {
         discard;
     }

@@ -8,7 +8,7 @@ use bevy_smoke::prelude::*;
 use crate::scene::*;
 
 /// Smoke that stands on a white floor under a sky and a sun; the camera looks down on it from the side.
-fn stage(size: UVec2) -> Headless {
+pub fn stage(size: UVec2) -> Headless {
     let mut app = Headless::new(size, TextureFormat::Rgba16Float).unwrap();
     let (volume, medium, _, transform) = smoke(&mut app);
     let world = app.app.world_mut();
