@@ -217,13 +217,13 @@ pub fn setup(
         commands.spawn((Mesh3d(meshes.add(terrain())), MeshMaterial3d(materials.add(ground))));
 
         // A fire behind the ridge.
-        let base = Vec2::new(1.5, -5.5);
-        let size = 15.0;
+        let base = Vec2::new(1.5, -6.5);
+        let size = 13.0;
         commands.spawn((
             SmokeVolume::new(assets.load("billow.smoke")),
             SmokePlayback::ping_pong().with_range(24..=47).with_speed(0.5).starting_at_frame(40),
-            SmokeMedium { sigma_t: 30.0 / size, albedo: LinearRgba::rgb(0.93, 0.92, 0.91), g: 0.2 },
-            Transform::from_xyz(base.x, height(base) + 0.45 * size, base.y).with_scale(Vec3::splat(size)),
+            SmokeMedium { sigma_t: 60.0 / size, albedo: LinearRgba::rgb(0.97, 0.96, 0.95), g: 0.3 },
+            Transform::from_xyz(base.x, height(base) + 0.42 * size, base.y).with_scale(Vec3::splat(size)),
         ));
 
         let sun = DirectionalLight { shadow_maps_enabled: shadows, ..default() };
@@ -248,8 +248,8 @@ pub fn setup(
                 intensity: LUMINANCE,
                 ..default()
             },
-            Projection::Perspective(PerspectiveProjection { fov: 0.75, ..default() }),
-            Transform::from_xyz(-3.0, 6.5, 25.0).looking_at(Vec3::new(0.5, 6.8, -5.0), Vec3::Y),
+            Projection::Perspective(PerspectiveProjection { fov: 0.85, ..default() }),
+            Transform::from_xyz(-2.0, 6.0, 18.0).looking_at(Vec3::new(0.5, 7.6, -5.0), Vec3::Y),
         ));
         commands.insert_resource(Sky { radiance, irradiance });
     }
@@ -288,17 +288,18 @@ pub fn light_day(
     }
 }
 
-/// Toward the sun: up at noon, in the east at 6 and in the west at 18, in a plane that leans to the south.
+/// Toward the sun: up at noon, at the right at 6 and at the left at 18, in a plane that leans away from the camera: light that
+/// comes from behind makes smoke glow.
 fn sun_direction(hour: f32) -> Vec3 {
     let angle = (hour - 6.0) / 24.0 * std::f32::consts::TAU;
-    Vec3::new(angle.cos(), 0.75 * angle.sin(), 0.66 * angle.sin()).normalize()
+    Vec3::new(angle.cos(), 0.8 * angle.sin(), -0.55 * angle.sin()).normalize()
 }
 
 /// Irradiance of a facing surface, in multiples of the sky's unit: reddened on its long way at dusk.
 fn sunlight(sun: Vec3) -> Vec3 {
     let air = 1.0 / (sun.y.max(0.0) + 0.09);
     let reddened = Vec3::new(0.05, 0.13, 0.3) * -air;
-    4.6 * smoothstep(-0.02, 0.08, sun.y) * Vec3::new(reddened.x.exp(), reddened.y.exp(), reddened.z.exp())
+    6.5 * smoothstep(-0.02, 0.08, sun.y) * Vec3::new(reddened.x.exp(), reddened.y.exp(), reddened.z.exp())
 }
 
 fn moonlight(moon: Vec3) -> Vec3 {
@@ -308,8 +309,8 @@ fn moonlight(moon: Vec3) -> Vec3 {
 /// Radiance of the sky in a direction, in multiples of its unit.
 fn sky_radiance(direction: Vec3, sun: Vec3) -> Vec3 {
     let day = smoothstep(-0.18, 0.3, sun.y);
-    let zenith = Vec3::new(0.006, 0.010, 0.026).lerp(Vec3::new(0.10, 0.23, 0.55), day);
-    let horizon = Vec3::new(0.014, 0.020, 0.040).lerp(Vec3::new(0.55, 0.66, 0.80), day);
+    let zenith = Vec3::new(0.006, 0.010, 0.026).lerp(Vec3::new(0.06, 0.16, 0.42), day);
+    let horizon = Vec3::new(0.014, 0.020, 0.040).lerp(Vec3::new(0.42, 0.52, 0.66), day);
     let toward = direction.dot(sun).max(0.0);
     // Dusk glows along the horizon under the sun, and violet opposite.
     let dusk = (-(sun.y / 0.22).powi(2)).exp();

@@ -15,6 +15,7 @@ pub mod scene;
 pub mod simulate;
 pub mod solve;
 pub mod study;
+pub mod surfaces;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -164,6 +165,7 @@ mod tests {
             (&["smoke", "study", "sphere", "--paths", "0"], "--paths"),
             (&["smoke", "study", "spheres", "--spheres", "8,0"], "--spheres"),
             (&["smoke", "study", "flicker", "a.smoke"], "--density"),
+            (&["smoke", "study", "shadows"], "BUNDLE"),
             (&["smoke", "study", "flicker", "a.smoke", "--density", "a.vdb"], "2 values required"),
         ] {
             let line = usage(arguments);

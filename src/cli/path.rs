@@ -10,9 +10,10 @@ use serde::Serialize;
 
 use super::bake::{BAR_STEPS, progress_bar, warn_of_lost_smoke};
 use super::render::{Choice, Job, Method, Scattering, is_density, read_bundle, read_equirect};
-use super::scene::{Environment, SceneLight};
+use super::scene::{Environment, Scene, SceneLight, SceneSphere};
 use crate::density::{self, GridShape, Placement};
 use crate::reference::path::{self, EquirectImage, Events, Light, alpha};
+use crate::reference::surface::{Plane, Sphere, Surfaces};
 use crate::reference::{Grid, Medium, Ray};
 
 /// Optical depth over the box's longest side that is traced at most: in white smoke paths scatter about that often.
@@ -89,7 +90,8 @@ pub(super) fn run(job: &Job) -> anyhow::Result<()> {
         scene.sigma_t
     );
     let medium = Medium { sigma: scene.sigma_t * side, albedo: scene.albedo, g: scene.g };
-    let smoke = path::Scene::new(&density, medium, environment, &lights);
+    let surfaces = surfaces_in_bundle_space(scene, center, side);
+    let smoke = path::Scene::new(&density, medium, environment, &lights).with_surfaces(surfaces);
     let eye = (scene.camera.eye - center) / side;
     let camera = |x, y| Ray::new(eye, scene.camera.direction(size, x, y));
     let asked = job.args.scattering;
@@ -115,7 +117,14 @@ pub(super) fn run(job: &Job) -> anyhow::Result<()> {
         };
         // Of every seed two others, which no other seed makes.
         let seed = seed.wrapping_mul(2).wrapping_add(half as u64);
-        path::render(&smoke, size, camera, events, counts[half], seed, &progress)
+        let mut image = path::render(&smoke, size, camera, events, counts[half], seed, &progress);
+        if job.kind.shows_surfaces() && scene.has_surfaces() {
+            // Of these, too, paths of their own.
+            let seed = seed.wrapping_add(1 << 63);
+            let behind = path::render_surfaces(&smoke, size, camera, events, counts[half], seed, &|_| ());
+            image.iter_mut().zip(behind).for_each(|(pixel, behind)| *pixel += behind);
+        }
+        image
     };
     let halves = [trace(0), trace(1)];
     bar.finish_and_clear();
@@ -162,7 +171,7 @@ fn read_density(path: &Path, frame: u32) -> anyhow::Result<(Grid, Placement)> {
 }
 
 /// A light of the scene where the smoke's box has its longest side 1 and its centre in the origin.
-fn in_bundle_space(light: &SceneLight, center: DVec3, side: f64) -> Light {
+pub(super) fn in_bundle_space(light: &SceneLight, center: DVec3, side: f64) -> Light {
     // Irradiance is the same, I/d², so that the intensity goes with the square of the length.
     let (place, dim) = (|x: DVec3| (x - center) / side, side.powi(-2));
     match *light {
@@ -179,6 +188,19 @@ fn in_bundle_space(light: &SceneLight, center: DVec3, side: f64) -> Light {
             inner: inner_deg.to_radians(),
             outer: outer_deg.to_radians(),
         },
+    }
+}
+
+/// The scene's surfaces in the same space.
+pub(super) fn surfaces_in_bundle_space(scene: &Scene, center: DVec3, side: f64) -> Surfaces {
+    let sphere = |sphere: &SceneSphere| Sphere {
+        center: (sphere.center - center) / side,
+        radius: sphere.radius / side,
+        albedo: sphere.albedo,
+    };
+    Surfaces {
+        plane: scene.plane.map(|plane| Plane { y: (plane.y - center.y) / side, albedo: plane.albedo }),
+        spheres: scene.spheres.iter().map(sphere).collect(),
     }
 }
 

@@ -18,6 +18,7 @@ use super::output::OutputFile;
 use super::path::{self, PathArgs};
 use super::scene::{Environment, Scene, SceneLight};
 use super::solve::{PaperStats, SolveArgs, Solver};
+use super::surfaces::{cast_shadows, environment_map, spawn_surfaces};
 use crate::bundle::{BundleError, BundleHeader, SmokeAnimation};
 use crate::headless::{Headless, HeadlessError};
 use crate::lighting::magnitude;
@@ -30,8 +31,9 @@ use crate::sh::Sh;
 #[derive(Args, Debug)]
 #[command(after_help = "Examples:\n  smoke render plume.smoke -o plume.exr --scene scene.json --scattering single\n  \
     smoke render plume.vdb -o full.exr --scene scene.json --method path --spp 1024 --halves\n\n\
-    An EXR holds linear media radiance without background in R, G, B and 1 - transmittance in A; a PNG holds the same \
-    over black, sRGB-encoded, without tone mapping.")]
+    An EXR holds linear media radiance without background in R, G, B and 1 - transmittance in A, of the smoke in front of \
+    the scene's `plane` and `spheres`; a PNG shows these behind it, else black, sRGB-encoded, without tone mapping. With \
+    rbf, spheres shade smoke, and smoke shades plane and spheres; with path, all shade and light each other.")]
 pub struct RenderArgs {
     /// The smoke: a .smoke bundle, or with --method path a density file too; it overrides the scene's `density`
     pub(super) input: PathBuf,
@@ -98,6 +100,16 @@ pub(super) enum Scattering {
     Single,
     /// Any number of scattering events
     Multiple,
+}
+
+impl From<Scattering> for ScatteringEvents {
+    fn from(scattering: Scattering) -> Self {
+        match scattering {
+            Scattering::Auto => Self::Auto,
+            Scattering::Single => Self::Single,
+            Scattering::Multiple => Self::Multiple,
+        }
+    }
 }
 
 pub(super) fn parse_size(text: &str) -> Result<[u32; 2], String> {
@@ -242,9 +254,17 @@ fn draw(job: Job) -> anyhow::Result<()> {
     let cells = animation.shape.dims.to_array();
     let mut headless = Headless::new(drawn.into(), TextureFormat::Rgba16Float)?;
     let paper = args.solve.paper(method.used);
-    let (volume, unit) = spawn_scene(&mut headless, &scene, animation, &args)?;
+    let scattering =
+        SmokeScattering { events: args.scattering.into(), solver: args.solve.solver().into(), ..default() };
+    let (volume, unit) = spawn_scene(&mut headless, &scene, animation, scattering, kind)?;
     if let Some(paper) = paper {
         headless.app.world_mut().entity_mut(volume).insert(paper);
+        if scene.has_surfaces() {
+            eprintln!(
+                "warning: {}: plane, spheres: method paper knows nothing in the smoke's light, they only hide smoke",
+                args.scene.display()
+            );
+        }
     }
 
     // The first frame is the one in which the smoke appears.
@@ -254,6 +274,10 @@ fn draw(job: Job) -> anyhow::Result<()> {
             eprintln!("warning: {}: the camera does not see the smoke: the picture is empty", args.scene.display());
         }
         result => result?,
+    }
+    if scene.has_surfaces() {
+        // Meshes take a few frames more than smoke does.
+        (0..MESH_FRAMES).for_each(|_| headless.app.update());
     }
     counts.push(headless.app.world().resource::<SmokeRenderStats>().dispatches());
     let mut frame_ms = Vec::new();
@@ -306,11 +330,14 @@ fn draw(job: Job) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Frames until meshes are drawn after they have been spawned.
+pub(super) const MESH_FRAMES: usize = 3;
+
 /// The longest side of a texture that every adapter allows.
 const MAX_SIDE: u32 = 8192;
 
 /// Means of blocks of `rays` × `rays`, a box filter over each pixel; colours times `unit`.
-fn average(fine: &[[f32; 4]], [width, height]: [u32; 2], rays: u32, unit: f32) -> Vec<[f32; 4]> {
+pub(super) fn average(fine: &[[f32; 4]], [width, height]: [u32; 2], rays: u32, unit: f32) -> Vec<[f32; 4]> {
     let weight = 1.0 / f64::from(rays * rays);
     let mut pixels = Vec::with_capacity((width * height) as usize);
     for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
@@ -379,35 +406,33 @@ pub(super) fn read_bundle(path: &Path, frame: u32) -> anyhow::Result<SmokeAnimat
 
 /// Spawns the volume, its lights and a camera that shows radiance as it is: exposure 1, no tone mapping, no dithering.
 /// Returns the volume and the radiance that 1 in the picture stands for: the picture is f16, the light may be in any unit.
-fn spawn_scene(
+pub(super) fn spawn_scene(
     headless: &mut Headless,
     scene: &Scene,
     animation: SmokeAnimation,
-    args: &RenderArgs,
+    scattering: SmokeScattering,
+    kind: PictureKind,
 ) -> anyhow::Result<(Entity, f32)> {
     let (center, side) = scene.placement.center_and_side(animation.shape, animation.placement);
     let transform = Transform::from_translation(center.as_vec3()).with_scale(Vec3::splat(side as f32));
     let world = headless.app.world_mut();
     let (environment, unit) = environment(world, scene)?;
     let animation = world.resource_mut::<Assets<SmokeAnimation>>().add(animation);
-    let events = match args.scattering {
-        Scattering::Auto => ScatteringEvents::Auto,
-        Scattering::Single => ScatteringEvents::Single,
-        Scattering::Multiple => ScatteringEvents::Multiple,
-    };
-    let volume = world.spawn((
-        SmokeVolume::new(animation),
-        SmokeScattering { events, solver: args.solve.solver().into(), ..default() },
-        medium(scene),
-        environment,
-        transform,
-    ));
-    let volume = volume.id();
+    let volume = world.spawn((SmokeVolume::new(animation), scattering, medium(scene), environment, transform)).id();
     for light in &scene.lights {
         spawn_light(world, light, unit);
     }
 
-    spawn_camera(headless, scene);
+    let camera = spawn_camera(headless, scene);
+    if scene.has_surfaces() {
+        let world = headless.app.world_mut();
+        spawn_surfaces(world, scene, side as f32, kind.shows_surfaces());
+        if kind.shows_surfaces() {
+            let map = environment_map(world, scene, unit)?;
+            world.entity_mut(camera).insert((map, SmokeShadows { smoke: true, occluders: true }));
+            cast_shadows(world);
+        }
+    }
     Ok((volume, unit))
 }
 
@@ -437,15 +462,16 @@ pub(super) fn medium(scene: &Scene) -> SmokeMedium {
 }
 
 /// Spawns the scene's camera, which shows radiance as it is.
-pub(super) fn spawn_camera(headless: &mut Headless, scene: &Scene) {
+pub(super) fn spawn_camera(headless: &mut Headless, scene: &Scene) -> Entity {
     let camera = &scene.camera;
     let projection = PerspectiveProjection { fov: camera.fov_y_deg.to_radians() as f32, near: 1e-3, ..default() };
     let shows = headless.radiance_camera();
-    headless.app.world_mut().spawn((
+    let camera = headless.app.world_mut().spawn((
         shows,
         Projection::Perspective(projection),
         Transform::from_translation(camera.eye.as_vec3()).looking_at(camera.target.as_vec3(), Vec3::Y),
     ));
+    camera.id()
 }
 
 /// Turns the environment of a volume about the vertical.
@@ -462,7 +488,7 @@ fn turn_light(world: &mut World, volume: Entity, angle: f64) {
 }
 
 /// Spawns a light as Bevy's own, in units of `unit`.
-fn spawn_light(world: &mut World, light: &SceneLight, unit: f32) {
+pub(super) fn spawn_light(world: &mut World, light: &SceneLight, unit: f32) {
     // A colour of which the largest channel is 1, and that channel.
     let split = |rgb: DVec3| {
         let rgb = rgb.as_vec3() / unit;
@@ -531,6 +557,11 @@ pub(super) enum PictureKind {
 }
 
 impl PictureKind {
+    /// Whether surfaces are seen behind the smoke.
+    pub fn shows_surfaces(self) -> bool {
+        matches!(self, Self::Png)
+    }
+
     fn of(path: &Path) -> anyhow::Result<Self> {
         match path.extension().and_then(|extension| extension.to_str()) {
             Some(e) if e.eq_ignore_ascii_case("exr") => Ok(Self::Exr),

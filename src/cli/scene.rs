@@ -1,7 +1,6 @@
 //! The scene file of `smoke render`: a medium, its light and a camera, as JSON.
 //!
-//! Paths are relative to the file. Unknown keys, and keys for what is not there yet, are warnings; a value that makes no
-//! sense is an error that names its key.
+//! Paths are relative to the file. Unknown keys are warnings; a value that makes no sense is an error that names its key.
 
 use std::path::{Path, PathBuf};
 
@@ -29,6 +28,10 @@ pub struct Scene {
     pub environment: Environment,
     /// Sharp lights, which may be inside the smoke.
     pub lights: Vec<SceneLight>,
+    /// Ground, or a ceiling: a horizontal plane.
+    pub plane: Option<ScenePlane>,
+    /// Balls.
+    pub spheres: Vec<SceneSphere>,
     /// The pinhole camera.
     pub camera: SceneCamera,
 }
@@ -99,6 +102,26 @@ pub enum SceneLight {
     },
 }
 
+/// A horizontal plane, opaque and Lambertian.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScenePlane {
+    /// Its height in metres.
+    pub y: f64,
+    /// Share of the light that it reflects, 0 to 1.
+    pub albedo: DVec3,
+}
+
+/// A ball, opaque and Lambertian.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SceneSphere {
+    /// Its centre in metres.
+    pub center: DVec3,
+    /// Its radius in metres, above 0.
+    pub radius: f64,
+    /// Share of the light that it reflects, 0 to 1.
+    pub albedo: DVec3,
+}
+
 /// A pinhole camera with +Y up; the picture's top row comes first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneCamera {
@@ -158,6 +181,11 @@ impl Environment {
 }
 
 impl Scene {
+    /// Whether there is anything but smoke.
+    pub fn has_surfaces(&self) -> bool {
+        self.plane.is_some() || !self.spheres.is_empty()
+    }
+
     /// Reads a scene file; the second value is its warnings, one line each.
     pub fn read(path: &Path) -> anyhow::Result<(Self, Vec<String>)> {
         let name = path.display();
@@ -195,6 +223,12 @@ impl Scene {
                 .into_iter()
                 .map(|keys| light(keys, &mut warnings))
                 .collect::<anyhow::Result<_>>()?,
+            plane: top.optional_nested("plane")?.map(|keys| plane(keys, &mut warnings)).transpose()?,
+            spheres: top
+                .optional_list("spheres")?
+                .into_iter()
+                .map(|keys| sphere(keys, &mut warnings))
+                .collect::<anyhow::Result<_>>()?,
             camera: SceneCamera {
                 eye: top.required("eye", vector)?,
                 target: top.required("target", vector)?,
@@ -212,7 +246,7 @@ impl Scene {
             view.normalize().cross(DVec3::Y).length() > 1e-6,
             "target: straight above or below eye, where +Y cannot be up in the picture"
         );
-        top.unused(&["plane", "spheres"], &mut warnings);
+        top.unused(&mut warnings);
         Ok((scene, warnings))
     }
 }
@@ -227,7 +261,7 @@ fn environment(mut keys: Keys, warnings: &mut Vec<String>) -> anyhow::Result<Env
                 .map(|mut lobe| {
                     let direction = lobe.required("dir", direction)?;
                     let rgb = lobe.required("rgb", color)?;
-                    lobe.unused(&[], warnings);
+                    lobe.unused(warnings);
                     Ok(Lobe { direction, rgb })
                 })
                 .collect::<anyhow::Result<_>>()?,
@@ -238,7 +272,7 @@ fn environment(mut keys: Keys, warnings: &mut Vec<String>) -> anyhow::Result<Env
             return Err(anyhow!("env.kind: \"{other}\" is none of \"lobes\", \"equirect\", \"constant\""));
         }
     };
-    keys.unused(&[], warnings);
+    keys.unused(warnings);
     Ok(environment)
 }
 
@@ -264,8 +298,24 @@ fn light(mut keys: Keys, warnings: &mut Vec<String>) -> anyhow::Result<SceneLigh
         }
         other => return Err(anyhow!("{}kind: \"{other}\" is none of \"sun\", \"point\", \"spot\"", keys.prefix)),
     };
-    keys.unused(&[], warnings);
+    keys.unused(warnings);
     Ok(light)
+}
+
+fn plane(mut keys: Keys, warnings: &mut Vec<String>) -> anyhow::Result<ScenePlane> {
+    let plane = ScenePlane { y: keys.required("y", number)?, albedo: keys.required("albedo", reflectance)? };
+    keys.unused(warnings);
+    Ok(plane)
+}
+
+fn sphere(mut keys: Keys, warnings: &mut Vec<String>) -> anyhow::Result<SceneSphere> {
+    let sphere = SceneSphere {
+        center: keys.required("center", vector)?,
+        radius: keys.required("radius", positive)?,
+        albedo: keys.required("albedo", reflectance)?,
+    };
+    keys.unused(warnings);
+    Ok(sphere)
 }
 
 /// The keys of a JSON object, and which of them have been read.
@@ -310,6 +360,10 @@ impl<'a> Keys<'a> {
         Keys::new(&format!("{}{key}.", self.prefix), value, self.folder)
     }
 
+    fn optional_nested(&mut self, key: &'static str) -> anyhow::Result<Option<Keys<'a>>> {
+        self.object.contains_key(key).then(|| self.nested(key)).transpose()
+    }
+
     fn list(&mut self, key: &'static str) -> anyhow::Result<Vec<Keys<'a>>> {
         let name = format!("{}{key}", self.prefix);
         let items = self.value(key)?.as_array().ok_or_else(|| anyhow!("{name}: not a list […]"))?;
@@ -322,10 +376,9 @@ impl<'a> Keys<'a> {
     }
 
     /// Warns of every key that nobody asked for.
-    fn unused(&self, planned: &[&str], warnings: &mut Vec<String>) {
+    fn unused(&self, warnings: &mut Vec<String>) {
         for key in self.object.keys().filter(|key| !self.read.contains(&key.as_str())) {
-            let problem = if planned.contains(&key.as_str()) { "not supported yet" } else { "unknown key" };
-            warnings.push(format!("{}{key}: {problem}, ignored", self.prefix));
+            warnings.push(format!("{}{key}: unknown key, ignored", self.prefix));
         }
     }
 }
@@ -380,6 +433,13 @@ fn color(value: &Value) -> anyhow::Result<DVec3> {
         Value::Number(_) => Ok(DVec3::splat(not_negative(value)?)),
         _ => Err(anyhow!("{value} is neither a number nor three, [r, g, b]")),
     }
+}
+
+/// Three shares, or one for all three.
+fn reflectance(value: &Value) -> anyhow::Result<DVec3> {
+    let rgb = color(value)?;
+    ensure!(rgb.max_element() <= 1.0, "{value} is above 1");
+    Ok(rgb)
 }
 
 fn degrees(value: &Value, low: f64, high: f64) -> anyhow::Result<f64> {

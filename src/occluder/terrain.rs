@@ -3,7 +3,7 @@
 //! Ground is a height field, and spheres under it touch it from below: large ones with their centres deep down where it is
 //! flat or hollow, for a sphere's top is nearly a plane, small ones where it bulges. Fields are cut into tiles, the one that
 //! is followed worst first, each tile gets the sphere that fits it, and then all are moved and sized in turn until the upper
-//! envelope of their union is as close to the field as it gets.
+//! envelope of their union is as close to the field as it gets, where what rises above it counts twice.
 
 use glam::{Vec2, Vec3, vec2, vec3};
 
@@ -241,7 +241,9 @@ fn settle(caps: &mut [Cap], samples: &[Vec3], largest: f32) {
                     .map(|((sample, at), others)| {
                         let under = squared - at.distance_squared(middle);
                         let top = if under < 0.0 { *others } else { (center.y + under.sqrt()).max(*others) };
-                        (top.max(sample.y - largest) - sample.y).powi(2)
+                        let above = top.max(sample.y - largest) - sample.y;
+                        // Smoke in what rises above the ground would be dark.
+                        (if above > 0.0 { 2.0 * above } else { above }).powi(2)
                     })
                     .sum()
             };

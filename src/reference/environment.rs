@@ -42,7 +42,7 @@ pub fn cubemap(size: usize, faces: [&[DVec3]; 6]) -> ShRgb {
 }
 
 /// The world direction of a texel's centre, and the squared distance of its place on the cube of half side 1.
-fn cubemap_direction(size: usize, face: usize, column: usize, row: usize) -> (DVec3, f64) {
+pub fn cubemap_direction(size: usize, face: usize, column: usize, row: usize) -> (DVec3, f64) {
     let u = 2.0 * (column as f64 + 0.5) / size as f64 - 1.0;
     let v = 2.0 * (row as f64 + 0.5) / size as f64 - 1.0;
     // The map's own axes: u to the right and v down on each face, seen from inside a left-handed cube.

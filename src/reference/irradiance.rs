@@ -17,8 +17,9 @@ use super::{
 };
 use crate::{density::GridShape, optics::transmittance};
 
-/// Directions over the cone in which the box is seen.
-const CONE: usize = 16_384;
+/// Directions over the cone in which the box is seen. On a floor under a plume, on a wall beside it and within it, a quarter
+/// as many are within 0.1 % of the irradiance, and these within 0.02 %.
+const CONE: usize = 4096;
 /// Directions over the hemisphere, without smoke.
 const HEMISPHERE: usize = 65_536;
 /// Directions over the disc of a sun.

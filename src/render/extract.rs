@@ -32,7 +32,16 @@ pub(super) struct ExtractedSmoke {
     pub lamps: Vec<Lamp>,
     /// The spheres of all occluders: centres in the world, and radii.
     pub spheres: Vec<Vec4>,
+    /// Whether a camera sees the shadows of spheres on meshes, smoke or no smoke.
+    pub meshes_shade_meshes: bool,
     pub suns: EnvironmentSuns,
+}
+
+impl ExtractedSmoke {
+    /// Whether there is nothing to do.
+    pub fn is_empty(&self) -> bool {
+        self.volumes.is_empty() && !self.meshes_shade_meshes
+    }
 }
 
 /// A volume as the render world sees it.
@@ -149,7 +158,10 @@ pub(super) fn extract_smoke(
     smoke.camera_shadows.clear();
     smoke.lamps.clear();
     smoke.spheres.clear();
-    if smoke.volumes.is_empty() {
+    let shades_meshes =
+        |(_, _, _, shadows, _): (_, _, _, Option<&SmokeShadows>, _)| shadows.is_some_and(|s| s.occluders);
+    smoke.meshes_shade_meshes = !occluders.is_empty() && cameras.iter().any(shades_meshes);
+    if smoke.is_empty() {
         return;
     }
     if environment_suns.is_changed() {

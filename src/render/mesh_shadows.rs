@@ -11,23 +11,26 @@ use bevy::prelude::*;
 use bevy::render::camera::ExtractedCamera;
 use bevy::render::diagnostic::RecordDiagnostics;
 use bevy::render::render_resource::binding_types::{
-    sampler, texture_3d, texture_depth_2d, texture_depth_2d_multisampled, uniform_buffer,
+    sampler, storage_buffer_read_only_sized, texture_3d, texture_depth_2d, texture_depth_2d_multisampled,
+    uniform_buffer,
 };
 use bevy::render::render_resource::{
-    BindGroupEntries, BindGroupLayoutDescriptor, BindGroupLayoutEntries, BlendComponent, BlendFactor, BlendOperation,
-    BlendState, Buffer, CachedRenderPipelineId, ColorTargetState, ColorWrites, FragmentState, MultisampleState,
-    PipelineCache, PrimitiveState, RenderPassDescriptor, RenderPipelineDescriptor, Sampler, SamplerBindingType,
-    ShaderStages, ShaderType, SpecializedRenderPipeline, SpecializedRenderPipelines, TextureSampleType, TextureView,
-    VertexState,
+    BindGroupEntry, BindGroupLayoutDescriptor, BindGroupLayoutEntries, BindingResource, BlendComponent, BlendFactor,
+    BlendOperation, BlendState, Buffer, CachedRenderPipelineId, ColorTargetState, ColorWrites, FragmentState,
+    MultisampleState, PipelineCache, PrimitiveState, RenderPassDescriptor, RenderPipelineDescriptor, Sampler,
+    SamplerBindingType, ShaderStages, ShaderType, SpecializedRenderPipeline, SpecializedRenderPipelines,
+    TextureSampleType, TextureView, VertexState,
 };
-use bevy::render::renderer::{RenderContext, ViewQuery};
+use bevy::render::renderer::{RenderContext, RenderDevice, RenderQueue, ViewQuery};
 use bevy::render::view::{ExtractedView, ViewDepthTexture, ViewTarget};
 use bevy::shader::{Shader, ShaderDefVal};
 
 use super::SmokeRenderStats;
 use super::casters::{CasterUniform, MAX_CASTERS};
+use super::frame::uniform;
 use super::shadow_mask::{self, ViewShadowMask};
 use super::sky::SkyUniform;
+use crate::sh::{SphereRule, VISIBILITY_ENTRIES, log_visibilities};
 
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_mesh_shadows";
@@ -41,12 +44,14 @@ pub(super) struct MeshShadowUniform {
     pub sky: SkyUniform,
     pub caster_count: u32,
     pub sun_count: u32,
+    pub sphere_count: u32,
     pub casters: [CasterUniform; MAX_CASTERS],
 }
 
 impl MeshShadowUniform {
-    pub fn new(sky: SkyUniform, casters: impl Iterator<Item = CasterUniform>, suns: usize) -> Self {
-        let mut uniform = Self { sky, sun_count: suns.min(MAX_SUNS) as u32, ..default() };
+    pub fn new(sky: SkyUniform, casters: Vec<CasterUniform>, suns: usize, spheres: usize) -> Self {
+        let (sun_count, sphere_count) = (suns.min(MAX_SUNS) as u32, spheres as u32);
+        let mut uniform = Self { sky, sun_count, sphere_count, ..default() };
         for (slot, caster) in uniform.casters.iter_mut().zip(casters) {
             *slot = caster;
             uniform.caster_count += 1;
@@ -63,6 +68,29 @@ pub(super) struct ViewMeshShadows {
     pub densities: TextureView,
     pub probes: TextureView,
     pub sampler: Sampler,
+    /// Where spheres shade the meshes as well: the tables and the spheres.
+    pub occluders: Option<[Buffer; 2]>,
+}
+
+/// The `Occlusion` of `mesh_shadows.wgsl`.
+#[derive(ShaderType, Clone, Debug)]
+struct OcclusionUniform {
+    directions: [Vec4; 32],
+    log_visibility: [Vec4; VISIBILITY_ENTRIES],
+}
+
+/// The tables that the shadows of spheres take.
+pub(super) fn occlusion_tables(device: &RenderDevice, queue: &RenderQueue) -> Buffer {
+    let rule = SphereRule::new(4);
+    let table = log_visibilities();
+    let tables = OcclusionUniform {
+        directions: core::array::from_fn(|j| {
+            let (direction, weight) = rule.nodes()[j];
+            direction.as_vec3().extend(weight as f32)
+        }),
+        log_visibility: table.map(|factors| Vec4::from_array(factors.map(|factor| factor as f32))),
+    };
+    uniform(device, queue, "smoke_occlusion", tables)
 }
 
 /// The pass's shader, and Bevy's mesh pipeline, whose view bindings it shares.
@@ -79,7 +107,7 @@ impl MeshShadowPass {
     }
 }
 
-fn layout(samples: u32) -> BindGroupLayoutDescriptor {
+fn layout(samples: u32, occluders: bool) -> BindGroupLayoutDescriptor {
     let depth = if samples > 1 { texture_depth_2d_multisampled() } else { texture_depth_2d() };
     let entries = BindGroupLayoutEntries::sequential(
         ShaderStages::VERTEX_FRAGMENT,
@@ -92,24 +120,37 @@ fn layout(samples: u32) -> BindGroupLayoutDescriptor {
             sampler(SamplerBindingType::Filtering),
         ),
     );
+    let mut entries = entries.to_vec();
+    if occluders {
+        entries.push(uniform_buffer::<OcclusionUniform>(false).build(6, ShaderStages::FRAGMENT));
+        entries.push(storage_buffer_read_only_sized(false, None).build(7, ShaderStages::FRAGMENT));
+    }
     BindGroupLayoutDescriptor::new(LABEL, &entries)
 }
 
-/// What a view asks of the pipeline, and whether it has a mask.
+/// What a view asks of the pipeline.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct MeshShadowKey {
     view: MeshPipelineKey,
+    /// Whether spheres shade the view's meshes.
+    occluders: bool,
+    /// Whether some of the meshes are not shaded.
     masked: bool,
 }
 
 impl SpecializedRenderPipeline for MeshShadowPass {
     type Key = MeshShadowKey;
 
-    fn specialize(&self, MeshShadowKey { view: key, masked }: MeshShadowKey) -> RenderPipelineDescriptor {
+    fn specialize(&self, MeshShadowKey { view: key, occluders, masked }: Self::Key) -> RenderPipelineDescriptor {
         let samples = key.msaa_samples();
-        let mut defs = shader_defs(key);
+        let mut shader_defs = shader_defs(key);
+        if occluders {
+            shader_defs.push("OCCLUDERS".into());
+        }
+        if masked {
+            shader_defs.push("MASKED".into());
+        }
         let mask = masked.then(|| shadow_mask::layout(samples));
-        defs.extend(masked.then(|| "MASKED".into()));
         let view = self.mesh_pipeline.get_view_layout(key.into());
         let multiply = BlendComponent {
             src_factor: BlendFactor::Dst,
@@ -119,10 +160,13 @@ impl SpecializedRenderPipeline for MeshShadowPass {
         let keep = BlendComponent { src_factor: BlendFactor::Zero, dst_factor: BlendFactor::One, ..multiply };
         RenderPipelineDescriptor {
             label: Some(LABEL.into()),
-            layout: [view.main_layout, view.binding_array_layout, layout(samples)].into_iter().chain(mask).collect(),
+            layout: [view.main_layout, view.binding_array_layout, layout(samples, occluders)]
+                .into_iter()
+                .chain(mask)
+                .collect(),
             vertex: VertexState {
                 shader: self.shader.clone(),
-                shader_defs: defs.clone(),
+                shader_defs: shader_defs.clone(),
                 entry_point: Some("vertex".into()),
                 ..default()
             },
@@ -130,7 +174,7 @@ impl SpecializedRenderPipeline for MeshShadowPass {
             multisample: MultisampleState { count: samples, ..default() },
             fragment: Some(FragmentState {
                 shader: self.shader.clone(),
-                shader_defs: defs,
+                shader_defs,
                 entry_point: Some("fragment".into()),
                 targets: vec![Some(ColorTargetState {
                     format: key.target_format(),
@@ -205,13 +249,14 @@ pub(super) fn prepare_mesh_shadow_pipelines(
     pass: Res<MeshShadowPass>,
     keys: Res<ViewKeyCache>,
     views: Query<(Entity, &ExtractedView), (With<ExtractedCamera>, With<Camera3d>)>,
-    shaded: Query<Has<ViewShadowMask>, With<ViewMeshShadows>>,
+    shaded: Query<(&ViewMeshShadows, Has<ViewShadowMask>)>,
 ) {
     for (entity, view) in &views {
         match (keys.get(&view.retained_view_entity), shaded.get(entity)) {
-            (Some(key), Ok(masked)) => {
-                let id = pipelines.specialize(&cache, &pass, MeshShadowKey { view: *key, masked });
-                commands.entity(entity).insert(ViewMeshShadowPipeline { id, samples: key.msaa_samples() });
+            (Some(key), Ok((shadows, masked))) => {
+                let key = MeshShadowKey { view: *key, occluders: shadows.occluders.is_some(), masked };
+                let id = pipelines.specialize(&cache, &pass, key);
+                commands.entity(entity).insert(ViewMeshShadowPipeline { id, samples: key.view.msaa_samples() });
             }
             _ => {
                 commands.entity(entity).remove::<ViewMeshShadowPipeline>();
@@ -238,17 +283,21 @@ pub(super) fn mesh_shadows(
     let (target, depth, camera, mesh_view, shadows, pipeline, mask) = view.into_inner();
     // Pipelines compile while the app runs.
     let Some(render_pipeline) = cache.get_render_pipeline(pipeline.id) else { return };
+    let mut resources = vec![
+        shadows.uniform.as_entire_binding(),
+        shadows.environment.as_entire_binding(),
+        BindingResource::TextureView(depth.view()),
+        BindingResource::TextureView(&shadows.densities),
+        BindingResource::TextureView(&shadows.probes),
+        BindingResource::Sampler(&shadows.sampler),
+    ];
+    resources.extend(shadows.occluders.iter().flatten().map(|buffer| buffer.as_entire_binding()));
+    let entries: Vec<BindGroupEntry> =
+        (0..).zip(resources).map(|(binding, resource)| BindGroupEntry { binding, resource }).collect();
     let bind_group = ctx.render_device().create_bind_group(
         LABEL,
-        &cache.get_bind_group_layout(&layout(pipeline.samples)),
-        &BindGroupEntries::sequential((
-            shadows.uniform.as_entire_binding(),
-            shadows.environment.as_entire_binding(),
-            depth.view(),
-            &shadows.densities,
-            &shadows.probes,
-            &shadows.sampler,
-        )),
+        &cache.get_bind_group_layout(&layout(pipeline.samples, shadows.occluders.is_some())),
+        &entries,
     );
     let recorder = ctx.diagnostic_recorder();
     let recorder = recorder.as_deref();

@@ -49,6 +49,7 @@ mod pass;
 mod placed;
 mod prepare;
 mod scattering;
+mod shading;
 mod shadow_mask;
 mod shadow_probes;
 mod sky;

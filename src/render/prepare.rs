@@ -21,20 +21,20 @@ use bevy::render::render_resource::{
 use bevy::render::renderer::{RenderDevice, RenderQueue};
 use bevy::render::sync_world::MainEntity;
 use bevy::render::texture::GpuImage;
-use bevy::render::view::{ExtractedView, RenderVisibleEntities, RetainedViewEntity};
+use bevy::render::view::{ExtractedView, RenderVisibleEntities};
 
-use super::casters::{Casters, MAX_CASTERS};
-use super::extract::{ExtractedSmoke, ExtractedVolume};
+use super::casters::Casters;
+use super::extract::ExtractedSmoke;
 use super::footprint::Footprints;
 use super::frame::{FILTERED_FORMAT, texture_3d};
 use super::light::{Environments, Light, LightKey};
-use super::lit::{Cached, FrameLight, LitVolume};
-use super::mesh_shadows::{MeshShadowUniform, ViewMeshShadows};
+use super::lit::{FrameLight, LitVolume};
+use super::mesh_shadows::ViewMeshShadows;
 use super::moments::Moments;
 #[cfg(feature = "reference")]
 use super::paper;
 use super::placed::{Placed, warn_of_limits};
-use super::shadow_probes::ShadowProbes;
+use super::shading::{Shaders, Shading, casting};
 use super::surroundings::{Around, Surroundings};
 use super::view::{Emission, Glow, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokePasses, SmokeRenderStats, SmokeWork};
@@ -52,16 +52,9 @@ pub(super) struct SmokeCache {
     moments: Moments,
     volumes: HashMap<(MainEntity, LightKey), LitVolume>,
     casters: Casters,
-    shadow_probes: ShadowProbes,
-    mesh_shadows: HashMap<RetainedViewEntity, SeenShadows>,
+    shading: Shading,
     surroundings: HashMap<(MainEntity, LightKey), Surroundings>,
     shared: Option<Shared>,
-}
-
-/// What shades the meshes of a view.
-struct SeenShadows {
-    uniform: Cached<MeshShadowUniform>,
-    last_used: u32,
 }
 
 /// Where light that scatters more than once adds less than this to single scattering, it does not diffuse.
@@ -71,7 +64,6 @@ const DIFFUSION_SHARE: f32 = 0.1;
 struct Shared {
     sampler: Sampler,
     footprints: Buffer,
-    /// In the place of the casters' densities, where there are no casters.
     nothing: TextureView,
     #[cfg(feature = "reference")]
     paper_tables: Buffer,
@@ -105,6 +97,8 @@ pub(super) struct Gpu<'a> {
     pub view_pass: &'a ViewPass,
     pub sampler: &'a Sampler,
     pub footprints: &'a Buffer,
+    /// In the place of the casters' densities, where there are no casters.
+    pub nothing: &'a TextureView,
     #[cfg(feature = "reference")]
     pub paper_tables: &'a Buffer,
 }
@@ -126,17 +120,8 @@ pub(super) fn prepare_smoke(
 ) {
     work.clear();
     let ready = passes.are_ready(&pipelines);
-    let SmokeCache {
-        frame: now,
-        environments,
-        moments,
-        volumes,
-        casters,
-        shadow_probes,
-        mesh_shadows,
-        surroundings,
-        shared,
-    } = &mut *smoke_cache;
+    let SmokeCache { frame: now, environments, moments, volumes, casters, shading, surroundings, shared } =
+        &mut *smoke_cache;
     *now = now.wrapping_add(1);
     environments.begin(*now, changed_images.added.iter().chain(&changed_images.modified));
     moments.begin(*now, &smoke);
@@ -155,11 +140,12 @@ pub(super) fn prepare_smoke(
         view_pass: &view_pass,
         sampler: &shared.sampler,
         footprints: &shared.footprints,
+        nothing: &shared.nothing,
         #[cfg(feature = "reference")]
         paper_tables: &shared.paper_tables,
     };
 
-    let casting = if ready { casting(&smoke, &views) } else { Vec::new() };
+    let casting = if ready { casting(&smoke, views.iter().map(|(_, view, ..)| view)) } else { Vec::new() };
     casters.begin(&casting, &device);
     for &entity in &casting {
         let volume = &smoke.volumes[&entity];
@@ -267,31 +253,11 @@ pub(super) fn prepare_smoke(
             components.insert(ViewSmoke(drawn));
         }
 
-        let shading = (|| {
-            let camera = smoke.camera_shadows.get(&view.retained_view_entity.main_entity)?;
-            let seen = |entity: &MainEntity| smoke.volumes[entity].layers.intersects(&camera.layers);
-            let shading: Vec<_> = casters.current.iter().filter(|caster| seen(&caster.entity)).collect();
-            if shading.is_empty() || !camera.shadows.smoke {
-                return None;
-            }
+        let shading = Shaders::of_view(view, &smoke, casters).and_then(|shaders| {
             let light = Light::of_view(view, &smoke)?;
             let lit = environments.light(light, &images, &smoke.suns, &gpu, &mut work)?;
-            let probed = shadow_probes.update(&lit, casters, *now, &gpu, &mut work);
-            let suns = smoke.lamps.iter().filter(|lamp| lamp.is_sun()).count();
-            let uniform = MeshShadowUniform::new(probed.sky, shading.iter().map(|caster| caster.uniform), suns);
-            let seen = mesh_shadows
-                .entry(view.retained_view_entity)
-                .or_insert_with(|| SeenShadows { uniform: Cached::new(uniform.clone(), &gpu), last_used: *now });
-            seen.last_used = *now;
-            seen.uniform.set(uniform, &gpu);
-            Some(ViewMeshShadows {
-                uniform: seen.uniform.buffer().clone(),
-                environment: probed.environment.clone(),
-                densities: casters.densities()?.clone(),
-                probes: probed.probes.clone(),
-                sampler: shared.sampler.clone(),
-            })
-        })();
+            Some(shading.shade(view, shaders, &lit, &smoke, casters, *now, &gpu, &mut work))
+        });
         match shading {
             Some(shadows) => components.insert(shadows),
             None => components.remove::<ViewMeshShadows>(),
@@ -300,8 +266,7 @@ pub(super) fn prepare_smoke(
 
     let in_use = |last_used: u32| now.wrapping_sub(last_used) < KEEP_FRAMES;
     environments.retain(in_use);
-    shadow_probes.retain(in_use);
-    mesh_shadows.retain(|_, seen| in_use(seen.last_used));
+    shading.retain(in_use);
     moments.retain(in_use, |volume| smoke.volumes.contains_key(&volume));
     stats.set_memory(moments.memory());
     stats.retain_scattering(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
@@ -327,39 +292,6 @@ fn jittered(
         jitter.jitter_projection(&mut clip_from_view, size.as_vec2());
     }
     clip_from_view
-}
-
-/// The volumes that cast shadows in a frame: those that do, where any view sees shadows.
-fn casting(
-    smoke: &ExtractedSmoke,
-    views: &Query<(Entity, &ExtractedView, &ExtractedCamera, &RenderVisibleEntities), With<Camera3d>>,
-) -> Vec<MainEntity> {
-    let mut eyes = Vec::new();
-    for (_, view, ..) in views {
-        if smoke.camera_shadows.get(&view.retained_view_entity.main_entity).is_some_and(|camera| camera.shadows.smoke) {
-            eyes.push(view.world_from_view.translation());
-        }
-    }
-    if eyes.is_empty() {
-        return Vec::new();
-    }
-    let distance = |volume: &ExtractedVolume| {
-        let center = Vec3::from(volume.world_from_bundle.translation);
-        eyes.iter().map(|eye| eye.distance(center)).fold(f32::INFINITY, f32::min)
-    };
-    let casts = |(_, volume): &(_, &ExtractedVolume)| volume.casts && volume.medium.sigma_t > 0.0;
-    let mut casting: Vec<_> = smoke.volumes.iter().filter(casts).map(|(e, volume)| (distance(volume), *e)).collect();
-    // Nearest first; equal distances keep the order of their entities.
-    casting.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    if casting.len() > MAX_CASTERS {
-        warn_once!(
-            "{} smoke volumes cast shadows, of which the {MAX_CASTERS} nearest to a camera do: give others Bevy's \
-             NotShadowCaster (said once)",
-            casting.len()
-        );
-        casting.truncate(MAX_CASTERS);
-    }
-    casting.into_iter().map(|(_, entity)| entity).collect()
 }
 
 /// Trilinear, clamped at the edges.

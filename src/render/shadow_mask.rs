@@ -115,7 +115,7 @@ fn extract_unshaded_meshes(
     meshes: Extract<Query<Entity, (With<Mesh3d>, Or<(With<NoSmokeShadow>, With<NotShadowReceiver>, With<Unlit>)>)>>,
 ) {
     unshaded.0.clear();
-    if !smoke.volumes.is_empty() {
+    if !smoke.camera_shadows.is_empty() {
         unshaded.0.extend(meshes.iter().map(MainEntity::from));
     }
 }

@@ -388,7 +388,7 @@ pub(super) fn prepare_view_pipelines(
 
 /// Lets the passes read the views' depth, or copy it.
 pub(super) fn prepare_depth_usages(mut cameras: Query<(&mut Camera3d, Has<ViewSlabs>)>, smoke: Res<ExtractedSmoke>) {
-    if smoke.volumes.is_empty() {
+    if smoke.is_empty() {
         return;
     }
     for (mut camera, has_slabs) in &mut cameras {

@@ -11,6 +11,7 @@ mod product;
 mod quadrature;
 #[cfg(test)]
 mod tests;
+mod visibility;
 mod zonal;
 
 use core::ops::{Add, Mul};
@@ -20,6 +21,7 @@ use glam::{DMat3, DVec3};
 pub use exponential::{Exponential, HALVINGS, NORM_STEP, NORMS, OptimalLinear, by_quadrature, scaling_and_squaring};
 pub use product::{Gaunt, gaunt};
 pub use quadrature::{SphereRule, fibonacci};
+pub use visibility::{VISIBILITY_ENTRIES, log_visibilities, log_visibility};
 pub use zonal::{CLAMPED_COSINE, henyey_greenstein_factors, zonal_factors, zonal_factors_between};
 
 /// Bands kept: l = 0 to 3.

@@ -6,7 +6,10 @@
 #import bevy_pbr::mesh_view_bindings as view_bindings
 #import bevy_pbr::mesh_view_types::{DIRECTIONAL_LIGHT_FLAGS_SHADOWS_ENABLED_BIT, POINT_LIGHT_FLAGS_SHADOWS_ENABLED_BIT, POINT_LIGHT_FLAGS_SPOT_LIGHT_Y_NEGATIVE}
 #import bevy_pbr::shadows::{fetch_directional_shadow, fetch_point_shadow, fetch_spot_shadow}
-#import bevy_smoke::casters::{Caster, Sky, crossing, missing_irradiance, optical_depth, shadow_probe_texel, sky_irradiance, MAX_CASTERS, PROBES, PROBE_TEXELS}
+#import bevy_smoke::casters::{Caster, Sky, crossing, missing_irradiance, optical_depth, shadow_probe_texel, sky_irradiance, MAX_CASTERS, PI, PROBES, PROBE_TEXELS}
+#ifdef OCCLUDERS
+#import bevy_smoke::sh::{basis, band}
+#endif
 #ifdef TONEMAP_IN_SHADER
 #import bevy_core_pipeline::tonemapping::tone_mapping
 #endif
@@ -16,6 +19,7 @@ struct MeshShadows {
     caster_count: u32,
     // Directional lights of the view, at most.
     sun_count: u32,
+    sphere_count: u32,
     casters: array<Caster, MAX_CASTERS>,
 }
 
@@ -29,6 +33,17 @@ struct MeshShadows {
 @group(2) @binding(3) var densities: texture_3d<f32>;
 @group(2) @binding(4) var shadow_probes: texture_3d<f32>;
 @group(2) @binding(5) var linear: sampler;
+#ifdef OCCLUDERS
+struct Occlusion {
+    // Directions and weights, w, that integrate the sphere.
+    directions: array<vec4<f32>, 32>,
+    // The logarithm of a sphere's visibility: factors of four bands, over radius / distance from 0 to 1.
+    log_visibility: array<vec4<f32>, 64>,
+}
+@group(2) @binding(6) var<uniform> occlusion: Occlusion;
+// Centres in the world and radii.
+@group(2) @binding(7) var<storage, read> spheres: array<vec4<f32>>;
+#endif
 #ifdef MASKED
 // 1 where meshes are that are not shaded.
 #ifdef MULTISAMPLED
@@ -39,7 +54,7 @@ struct MeshShadows {
 #endif
 
 // Radiance of a surface that reflects 18 % over its irradiance.
-const GREY: f32 = 0.18 / 3.14159265;
+const GREY: f32 = 0.18 / PI;
 
 // Steps through a caster's coarse grid toward a light.
 const STEPS: u32 = 24u;
@@ -50,12 +65,13 @@ struct Vertex {
     // Bounds of loops, which a uniform must not give the fragment shader: see `view.wgsl`.
     @location(1) @interpolate(flat) caster_count: u32,
     @location(2) @interpolate(flat) sun_count: u32,
+    @location(3) @interpolate(flat) sphere_count: u32,
 }
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) sample: u32) -> Vertex {
     let corner = vec2(f32(index >> 1u), f32(index & 1u)) * 4.0 - 1.0;
-    return Vertex(vec4(corner, 0.0, 1.0), sample, scene.caster_count, scene.sun_count);
+    return Vertex(vec4(corner, 0.0, 1.0), sample, scene.caster_count, scene.sun_count, scene.sphere_count);
 }
 
 fn depth_at(pixel: vec2<i32>, sample: u32) -> f32 {
@@ -121,6 +137,65 @@ fn sky_missing(caster: Caster, point: vec3<f32>, normal: vec3<f32>) -> vec3<f32>
     }
     return missing;
 }
+
+#ifdef OCCLUDERS
+// Spheres that look smaller than this, radius over distance, are left out.
+const SMALLEST: f32 = 0.02;
+
+// The share of the sky's irradiance that spheres leave to a surface (Ren et al. 2006): see `reference/occlusion.rs`.
+fn unoccluded(point: vec3<f32>, normal: vec3<f32>, sphere_count: u32) -> vec3<f32> {
+    let turn = scene.sky.environment_from_world;
+    // Optical depth, as it were, in the environment's axes.
+    var depth: array<f32, 16>;
+    var met = false;
+    for (var i = 0u; i < sphere_count; i++) {
+        let sphere = spheres[i];
+        let offset = sphere.xyz - point;
+        let distance = length(offset);
+        let sine = min(sphere.w / max(distance, 1e-9), 1.0);
+        let above = clamp(dot(offset, normal) / sphere.w + 1.0, 0.0, 1.0);
+        if sine > SMALLEST && above > 0.0 {
+            let position = sine * 63.0;
+            let below = min(u32(position), 62u);
+            let bands = above * mix(occlusion.log_visibility[below], occlusion.log_visibility[below + 1u], position - f32(below));
+            let y = basis(turn * (offset / max(distance, 1e-9)));
+            for (var k = 0u; k < 16u; k++) {
+                depth[k] += bands[band(k)] * y[k];
+            }
+            met = true;
+        }
+    }
+    if !met {
+        return vec3(1.0);
+    }
+    // The sums over directions of weight, cosine and visibility, against each coefficient of the sky's light.
+    var clear: array<f32, 16>;
+    var lit: array<f32, 16>;
+    for (var j = 0u; j < 32u; j++) {
+        let towards = occlusion.directions[j];
+        let weight = towards.w * max(dot(turn * normal, towards.xyz), 0.0);
+        if weight > 0.0 {
+            let y = basis(towards.xyz);
+            var exponent = 0.0;
+            for (var k = 0u; k < 16u; k++) {
+                exponent += depth[k] * y[k];
+            }
+            let visible = weight * exp(exponent);
+            for (var k = 0u; k < 16u; k++) {
+                clear[k] += weight * y[k];
+                lit[k] += visible * y[k];
+            }
+        }
+    }
+    var clear_light = clear[0] * 2.0 * sqrt(PI) * scene.sky.ambient;
+    var lit_light = lit[0] * 2.0 * sqrt(PI) * scene.sky.ambient;
+    for (var k = 0u; k < 16u; k++) {
+        clear_light += clear[k] * scene.sky.scale * environment[k].rgb;
+        lit_light += lit[k] * scene.sky.scale * environment[k].rgb;
+    }
+    return select(vec3(1.0), clamp(lit_light / max(clear_light, vec3(1e-30)), vec3(0.0), vec3(1.0)), clear_light > vec3(0.0));
+}
+#endif
 
 // Whether light can meet smoke on its way to a point.
 fn meets_smoke(point: vec3<f32>, towards: vec3<f32>, distance: f32, caster_count: u32) -> bool {
@@ -233,6 +308,11 @@ fn fragment(in: Vertex) -> Fragment {
         // Behind one another, casters take of what is left.
         sky *= 1.0 - min(missing / max(clear_sky, vec3(1e-30)), vec3(1.0));
     }
+#ifdef OCCLUDERS
+    let open = unoccluded(point, normal, in.sphere_count);
+    shaded = shaded || any(open < vec3(1.0));
+    sky *= open;
+#endif
     let sun = transpose(scene.sky.environment_from_world) * scene.sky.sun_direction;
     let sun_irradiance = scene.sky.sun_irradiance * (scene.sky.scale * max(dot(sun, normal), 0.0));
     let sun_is_shaded = any(sun_irradiance > vec3(0.0)) && meets_smoke(point, sun, 1e30, in.caster_count);

@@ -2,22 +2,21 @@
 
 use bevy::core_pipeline::prepass::{DeferredPrepass, DepthPrepass};
 use bevy::light::NotShadowReceiver;
+use bevy::mesh::VertexAttributeValues;
 use bevy::mesh::skinning::{SkinnedMesh, SkinnedMeshInverseBindposes};
-use bevy::mesh::{Indices, PrimitiveTopology, VertexAttributeValues};
 use bevy::pbr::DefaultOpaqueRendererMethod;
 use bevy::prelude::*;
 use bevy_smoke::headless::Headless;
 use bevy_smoke::prelude::*;
 
 use crate::scene::*;
-use crate::shadows::stage;
-
-const SIZE: UVec2 = UVec2::new(128, 96);
+use crate::shadows::{PICTURE, plume, stage};
 
 /// A stage with a camera, where smoke shades the floor and a box.
 struct Scene {
     app: Headless,
     camera: Entity,
+    volume: Entity,
     floor: Entity,
     block: Entity,
 }
@@ -26,8 +25,8 @@ type Picture = Vec<[f32; 4]>;
 
 impl Scene {
     fn new(of_camera: impl Bundle) -> Self {
-        let mut app = stage(SIZE);
-        let of_stage = camera(&app);
+        let (mut app, camera) = stage();
+        let volume = plume(&mut app, Vec3::Y * 1.7);
         let world = app.app.world_mut();
         let floor = world.query_filtered::<Entity, With<Mesh3d>>().single(world).unwrap();
         let block = world.resource_mut::<Assets<Mesh>>().add(Cuboid::new(0.8, 0.8, 0.8));
@@ -36,9 +35,8 @@ impl Scene {
             .add(StandardMaterial::from(Color::linear_rgb(0.5, 0.4, 0.3)));
         let at = Transform::from_xyz(1.6, 0.4, 1.2).with_rotation(Quat::from_rotation_y(0.5));
         let block = world.spawn((Mesh3d(block), MeshMaterial3d(grey), at)).id();
-        let eye = Transform::from_xyz(0.0, 3.0, 9.0).looking_at(Vec3::new(0.0, 1.2, 0.0), Vec3::Y);
-        let camera = world.spawn(of_stage).insert((eye, of_camera)).id();
-        Self { app, camera, floor, block }
+        world.entity_mut(camera).insert(of_camera);
+        Self { app, camera, volume, floor, block }
     }
 
     fn deferred() -> Self {
@@ -67,7 +65,13 @@ impl Scene {
         self.insert(self.camera, SmokeShadows { smoke: false, ..default() });
         let plain = self.next();
         self.remove::<SmokeShadows>(self.camera);
-        assert_eq!(differing(&self.next(), &shaded), 0);
+        let again = self.next();
+        for (i, (a, b)) in again.iter().zip(&shaded).enumerate().filter(|(_, (a, b))| a != b) {
+            println!("{} {}: {a:?} {b:?} plain {:?}", i % 128, i / 128, plain[i]);
+        }
+        let third = self.next();
+        println!("{}", differing(&third, &again));
+        assert_eq!(differing(&again, &shaded), 0);
         (shaded, plain)
     }
 }
@@ -217,7 +221,7 @@ fn skinned_meshes_are_spared() {
         let (_, plain) = scene.shaded_and_plain();
         scene.insert(scene.floor, NoSmokeShadow);
         let block_shaded = scene.next();
-        save_radiance("skinned", SIZE, &block_shaded);
+        save_radiance("skinned", PICTURE, &block_shaded);
         assert!(differing(&block_shaded, &plain) > 100);
         scene.insert(scene.block, NoSmokeShadow);
         assert_eq!(differing(&scene.next(), &plain), 0);
@@ -229,8 +233,8 @@ fn skinned_meshes_are_spared() {
 fn nothing_is_left() {
     for of_deferred in [false, true] {
         let mut scene = if of_deferred { Scene::deferred() } else { Scene::new(Msaa::Sample4) };
+        let volume = scene.volume;
         let world = scene.app.app.world_mut();
-        let volume = world.query_filtered::<Entity, With<SmokeVolume>>().single(world).unwrap();
         let (smoke, medium) =
             (world.get::<SmokeVolume>(volume).unwrap().clone(), *world.get::<SmokeMedium>(volume).unwrap());
         world.entity_mut(volume).remove::<SmokeVolume>();

@@ -126,14 +126,30 @@ fn a_grey_is_one_number() {
     assert_eq!(ambient, DVec3::splat(0.2));
 }
 
+const SURFACES: &str = r#""plane": { "y": -1.5, "albedo": 0.5 }, "spheres": [
+    { "center": [1, 2, 3], "radius": 0.5, "albedo": [0.1, 0.2, 1] }
+], "size""#;
+
+#[test]
+fn surfaces() {
+    let (scene, warnings) = changed("\"size\"", SURFACES).unwrap();
+    assert!(warnings.is_empty());
+    assert_eq!(scene.plane, Some(ScenePlane { y: -1.5, albedo: DVec3::splat(0.5) }));
+    let sphere = SceneSphere { center: DVec3::new(1.0, 2.0, 3.0), radius: 0.5, albedo: DVec3::new(0.1, 0.2, 1.0) };
+    assert_eq!(scene.spheres, [sphere]);
+    for (from, to, expected) in [
+        ("\"y\": -1.5,", "", "missing key plane.y"),
+        ("\"albedo\": 0.5", "\"albedo\": 1.5", "plane.albedo: 1.5 is above 1"),
+        ("\"radius\": 0.5", "\"radius\": 0", "spheres[0].radius: 0 is not above 0"),
+    ] {
+        assert_eq!(fault("\"size\"", &SURFACES.replace(from, to)), expected);
+    }
+}
+
 #[test]
 fn warnings() {
-    let extra = "\"g\": -0.5, \"plane\": {}, \"spheres\": [], \"fog\": 1, ";
-    let (_, warnings) = changed("\"g\": -0.5,", extra).unwrap();
-    assert_eq!(
-        warnings,
-        ["fog: unknown key, ignored", "plane: not supported yet, ignored", "spheres: not supported yet, ignored"]
-    );
+    let (_, warnings) = changed("\"g\": -0.5,", "\"g\": -0.5, \"fog\": 1, ").unwrap();
+    assert_eq!(warnings, ["fog: unknown key, ignored"]);
     let (_, warnings) = changed("\"rgb\": [3, 2, 1]", "\"rgb\": [3, 2, 1], \"radius\": 2").unwrap();
     assert_eq!(warnings, ["env.lobes[0].radius: unknown key, ignored"]);
 }

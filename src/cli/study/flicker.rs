@@ -50,7 +50,8 @@ pub struct FlickerArgs {
     json: bool,
 }
 
-const DEFAULT_SCENE: &str = r#"{
+/// A plume 3 m tall under a soft light.
+pub(super) const DEFAULT_SCENE: &str = r#"{
     "placement": "file", "sigma_t": 2.49, "albedo": [0.66, 0.66, 0.66], "g": 0,
     "env": {
         "kind": "lobes", "ambient": [0.12, 0.15, 0.2],

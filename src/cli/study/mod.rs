@@ -1,6 +1,7 @@
 //! `smoke study`: the numerical studies behind the method, run again.
 
 mod flicker;
+mod shadows;
 mod sphere;
 mod spheres;
 mod stability;
@@ -12,7 +13,8 @@ pub(super) const EXAMPLES: &str = "\
   smoke study sphere --paths 10000000 --json
   smoke study stability > docs/stability.md
   smoke study spheres --spheres 16,32
-  smoke study flicker plume.smoke --density plume_*.vdb";
+  smoke study flicker plume.smoke --density plume_*.vdb
+  smoke study shadows plume.smoke";
 
 /// What to study.
 #[derive(Subcommand, Debug)]
@@ -28,6 +30,9 @@ pub enum Study {
     /// over the change of the true picture, in single scattering. The truth is computed from the densities they were baked
     /// from, without noise
     Flicker(flicker::FlickerArgs),
+    /// Shadows between smoke and meshes, as the plug-in draws them: what a floor under the smoke receives of sky and sun,
+    /// against exact integrals, and smoke that a ball shades, against path tracing
+    Shadows(shadows::ShadowArgs),
     /// How close fitted spheres come to the meshes they stand for in smoke's light, and how long fitting takes. Prints
     /// tables: a cube, a wall, a torus, a figure that walks, and ground
     Spheres(spheres::SpheresArgs),
@@ -39,6 +44,7 @@ pub fn run(study: &Study) -> anyhow::Result<()> {
         Study::Sphere(args) => sphere::run(args),
         Study::Stability(args) => stability::run(args),
         Study::Flicker(args) => flicker::run(args),
+        Study::Shadows(args) => shadows::run(args),
         Study::Spheres(args) => spheres::run(args),
     }
 }

@@ -11,7 +11,7 @@
 //! scatters there and then again keeps a few bright specks.
 //!
 //! [`Surfaces`] block light and reflect it; what they look like themselves, behind the smoke, is a picture of its own
-//! ([`render_background`]).
+//! ([`render_surfaces`]).
 //!
 //! Error estimates that discount noise need two independent halves: two [`render`]s with different seeds.
 
@@ -221,16 +221,12 @@ pub fn trace(scene: &Scene, ray: &Ray, events: Events, rng: &mut Rng) -> DVec3 {
     }
 }
 
-/// One sample of what is seen along `ray` through the smoke: the first surface, or the environment behind everything.
-pub fn trace_background(scene: &Scene, ray: &Ray, events: Events, rng: &mut Rng) -> DVec3 {
+/// One sample of the radiance of the first surface along `ray`, through the smoke in front of it.
+pub fn trace_surfaces(scene: &Scene, ray: &Ray, events: Events, rng: &mut Rng) -> DVec3 {
     let (ray, hit) = scene.up_to_surface(ray);
-    if scene.smoke.collide(&ray, rng).is_some() {
-        return DVec3::ZERO;
-    }
     match hit {
-        Some(hit) => follow(scene, reflection(&ray, hit), events, rng),
-        None if ray.t_max == f64::INFINITY => scene.environment.radiance(ray.dir),
-        None => DVec3::ZERO,
+        Some(hit) if scene.smoke.collide(&ray, rng).is_none() => follow(scene, reflection(&ray, hit), events, rng),
+        _ => DVec3::ZERO,
     }
 }
 
@@ -308,8 +304,8 @@ pub fn render(
     average(size, spp, seed, progress, |x, y, rng| trace(scene, &camera(x, y), events, rng))
 }
 
-/// The same of what is seen through the smoke: surfaces, and the environment behind everything.
-pub fn render_background(
+/// The same of surfaces, seen through the smoke in front of them.
+pub fn render_surfaces(
     scene: &Scene,
     size: [u32; 2],
     camera: impl Fn(f64, f64) -> Ray + Sync,
@@ -318,7 +314,7 @@ pub fn render_background(
     seed: u64,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Vec<DVec3> {
-    average(size, spp, seed, progress, |x, y, rng| trace_background(scene, &camera(x, y), events, rng))
+    average(size, spp, seed, progress, |x, y, rng| trace_surfaces(scene, &camera(x, y), events, rng))
 }
 
 /// Means of `spp` samples at random places of every pixel.
