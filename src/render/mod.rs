@@ -52,6 +52,7 @@ mod placed;
 mod prepare;
 mod scattering;
 mod shading;
+mod shadow_mask;
 mod shadow_probes;
 mod sky;
 mod slabs;
@@ -110,7 +111,8 @@ impl Plugin for SmokeRenderPlugin {
         app.insert_resource(stats.clone())
             .init_resource::<EnvironmentSuns>()
             .add_systems(PostUpdate, find_suns)
-            .register_required_components::<SmokeVolume, SyncToRenderWorld>();
+            .register_required_components::<SmokeVolume, SyncToRenderWorld>()
+            .add_plugins(shadow_mask::ShadowMaskPlugin);
 
         let render_app = app.sub_app_mut(RenderApp);
         render_app
@@ -139,7 +141,8 @@ impl Plugin for SmokeRenderPlugin {
             )
             .add_systems(
                 Render,
-                mesh_shadows::prepare_mesh_shadow_pipelines
+                (shadow_mask::prepare_shadow_masks, mesh_shadows::prepare_mesh_shadow_pipelines)
+                    .chain()
                     .in_set(RenderSystems::PrepareBindGroups)
                     .after(prepare::prepare_smoke)
                     .run_if(resource_exists::<mesh_shadows::MeshShadowPass>),
@@ -167,7 +170,7 @@ impl Plugin for SmokeRenderPlugin {
             )
             .add_systems(
                 Core3d,
-                (mesh_shadows::mesh_shadows, view::view)
+                (shadow_mask::shadow_mask, mesh_shadows::mesh_shadows, view::view)
                     .chain()
                     .after(main_opaque_pass_3d)
                     // What is behind glass is seen through it.
@@ -267,6 +270,7 @@ fn init_passes(
     draw_functions.write().add(slabs::DrawSlab);
     if let Some(pass) = mesh_shadows::MeshShadowPass::new(mesh_pipeline.as_deref(), &shaders.mesh_shadows) {
         commands.insert_resource(pass);
+        commands.insert_resource(shadow_mask::ShadowMaskPass::new(&shaders.shadow_mask));
     }
 }
 

@@ -44,6 +44,14 @@ struct Occlusion {
 // Centres in the world and radii.
 @group(2) @binding(7) var<storage, read> spheres: array<vec4<f32>>;
 #endif
+#ifdef MASKED
+// 1 where meshes are that are not shaded.
+#ifdef MULTISAMPLED
+@group(3) @binding(0) var mask_texture: texture_multisampled_2d<f32>;
+#else
+@group(3) @binding(0) var mask_texture: texture_2d<f32>;
+#endif
+#endif
 
 // Radiance of a surface that reflects 18 % over its irradiance.
 const GREY: f32 = 0.18 / PI;
@@ -86,6 +94,16 @@ fn depth_at(pixel: vec2<i32>, sample: u32) -> f32 {
     return textureLoad(depth_texture, pixel, 0);
 #endif
 }
+
+#ifdef MASKED
+fn is_masked(pixel: vec2<i32>, sample: u32) -> bool {
+#ifdef MULTISAMPLED
+    return textureLoad(mask_texture, pixel, i32(sample)).r > 0.5;
+#else
+    return textureLoad(mask_texture, pixel, 0).r > 0.5;
+#endif
+}
+#endif
 
 fn world_position(pixel: vec2<f32>, depth: f32) -> vec3<f32> {
     let uv = (pixel - view_bindings::view.viewport.xy) / view_bindings::view.viewport.zw;
@@ -257,6 +275,11 @@ fn fragment(in: Vertex) -> Fragment {
     var sample = in.sample;
     var depth = depth_at(vec2<i32>(pixel), sample);
     var out: Fragment;
+#ifdef MASKED
+    if is_masked(vec2<i32>(pixel), in.sample) {
+        discard;
+    }
+#endif
 #ifdef MULTISAMPLED
     // Where all samples see about the same depth the first shades them all.
     var nearest = depth;
@@ -266,7 +289,12 @@ fn fragment(in: Vertex) -> Fragment {
         nearest = max(nearest, other);
         farthest = min(farthest, other);
     }
-    let shared_by_all = nearest - farthest < 0.02 * nearest;
+    var shared_by_all = nearest - farthest < 0.02 * nearest;
+#ifdef MASKED
+    for (var i = 0u; i < #{SAMPLES}u; i++) {
+        shared_by_all = shared_by_all && !is_masked(vec2<i32>(pixel), i);
+    }
+#endif
     if shared_by_all && sample > 0u {
         discard;
     }

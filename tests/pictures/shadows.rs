@@ -9,10 +9,10 @@ use bevy_smoke::prelude::*;
 
 use crate::scene::*;
 
-const PICTURE: UVec2 = UVec2::new(128, 96);
+pub const PICTURE: UVec2 = UVec2::new(128, 96);
 
 /// A white floor under a constant sky and a sun, with the camera that looks down on it from the side.
-fn stage() -> (Headless, Entity) {
+pub fn stage() -> (Headless, Entity) {
     let mut app = Headless::new(PICTURE, TextureFormat::Rgba16Float).unwrap();
     let camera = camera(&app);
     let world = app.app.world_mut();
@@ -29,7 +29,7 @@ fn stage() -> (Headless, Entity) {
 }
 
 /// Smoke that stands on the floor, lit by what lights the floor.
-fn plume(app: &mut Headless, at: Vec3) -> Entity {
+pub fn plume(app: &mut Headless, at: Vec3) -> Entity {
     let (volume, medium, _, transform) = smoke(app);
     app.app.world_mut().spawn((volume, medium, transform.with_translation(at))).id()
 }
