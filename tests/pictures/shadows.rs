@@ -120,7 +120,9 @@ fn volumes_shade_each_other_and_the_same_ground() {
     assert!(share(&both) < share(&a).min(share(&b)), "{} {} {}", share(&both), share(&a), share(&b));
     assert!(share(&both) > share(&a) * share(&b) - 0.01);
     // The second's own light is less for the first's shadow.
-    let lit = |picture: &[[f32; 4]]| (0..3).map(|i| picture[pixel(second + Vec3::Y * (0.2 * i as f32 - 0.2))][0]).sum::<f32>();
+    let lit = |picture: &[[f32; 4]]| {
+        (0..3).map(|i| picture[pixel(second + Vec3::Y * (0.2 * i as f32 - 0.2))][0]).sum::<f32>()
+    };
     assert!(lit(&both) < 0.97 * lit(&b), "{} of {}", lit(&both), lit(&b));
 }
 
