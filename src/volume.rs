@@ -18,7 +18,10 @@ use crate::scattering::SmokeScattering;
 /// but its extinction per metre follows the cube root of the box's change of volume, and a warning says so once.
 ///
 /// Smoke is drawn after opaque meshes and before transparent ones. Where volumes overlap each is composited as a
-/// whole, the one whose centre is farther from the camera first; they do not shade each other.
+/// whole, the one whose centre is farther from the camera first.
+///
+/// It shades opaque meshes and other smoke, in view or not, unless Bevy's [`NotShadowCaster`](bevy::light::NotShadowCaster) is
+/// beside it: see [`crate::shadows`].
 #[derive(Component, Clone, Debug, Default, PartialEq, Reflect)]
 #[reflect(Component, Default, Debug, Clone, PartialEq)]
 #[require(

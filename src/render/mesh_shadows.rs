@@ -28,6 +28,7 @@ use bevy::shader::{Shader, ShaderDefVal};
 use super::SmokeRenderStats;
 use super::casters::{CasterUniform, MAX_CASTERS};
 use super::frame::uniform;
+use super::shadow_mask::{self, ViewShadowMask};
 use super::sky::SkyUniform;
 use crate::sh::{SphereRule, VISIBILITY_ENTRIES, log_visibilities};
 
@@ -127,16 +128,29 @@ fn layout(samples: u32, occluders: bool) -> BindGroupLayoutDescriptor {
     BindGroupLayoutDescriptor::new(LABEL, &entries)
 }
 
-impl SpecializedRenderPipeline for MeshShadowPass {
-    /// The view's, and whether spheres shade its meshes.
-    type Key = (MeshPipelineKey, bool);
+/// What a view asks of the pipeline.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) struct MeshShadowKey {
+    view: MeshPipelineKey,
+    /// Whether spheres shade the view's meshes.
+    occluders: bool,
+    /// Whether some of the meshes are not shaded.
+    masked: bool,
+}
 
-    fn specialize(&self, (key, occluders): Self::Key) -> RenderPipelineDescriptor {
+impl SpecializedRenderPipeline for MeshShadowPass {
+    type Key = MeshShadowKey;
+
+    fn specialize(&self, MeshShadowKey { view: key, occluders, masked }: Self::Key) -> RenderPipelineDescriptor {
         let samples = key.msaa_samples();
         let mut shader_defs = shader_defs(key);
         if occluders {
             shader_defs.push("OCCLUDERS".into());
         }
+        if masked {
+            shader_defs.push("MASKED".into());
+        }
+        let mask = masked.then(|| shadow_mask::layout(samples));
         let view = self.mesh_pipeline.get_view_layout(key.into());
         let multiply = BlendComponent {
             src_factor: BlendFactor::Dst,
@@ -146,7 +160,10 @@ impl SpecializedRenderPipeline for MeshShadowPass {
         let keep = BlendComponent { src_factor: BlendFactor::Zero, dst_factor: BlendFactor::One, ..multiply };
         RenderPipelineDescriptor {
             label: Some(LABEL.into()),
-            layout: vec![view.main_layout, view.binding_array_layout, layout(samples, occluders)],
+            layout: [view.main_layout, view.binding_array_layout, layout(samples, occluders)]
+                .into_iter()
+                .chain(mask)
+                .collect(),
             vertex: VertexState {
                 shader: self.shader.clone(),
                 shader_defs: shader_defs.clone(),
@@ -232,13 +249,14 @@ pub(super) fn prepare_mesh_shadow_pipelines(
     pass: Res<MeshShadowPass>,
     keys: Res<ViewKeyCache>,
     views: Query<(Entity, &ExtractedView), (With<ExtractedCamera>, With<Camera3d>)>,
-    shaded: Query<&ViewMeshShadows>,
+    shaded: Query<(&ViewMeshShadows, Has<ViewShadowMask>)>,
 ) {
     for (entity, view) in &views {
         match (keys.get(&view.retained_view_entity), shaded.get(entity)) {
-            (Some(key), Ok(shadows)) => {
-                let id = pipelines.specialize(&cache, &pass, (*key, shadows.occluders.is_some()));
-                commands.entity(entity).insert(ViewMeshShadowPipeline { id, samples: key.msaa_samples() });
+            (Some(key), Ok((shadows, masked))) => {
+                let key = MeshShadowKey { view: *key, occluders: shadows.occluders.is_some(), masked };
+                let id = pipelines.specialize(&cache, &pass, key);
+                commands.entity(entity).insert(ViewMeshShadowPipeline { id, samples: key.view.msaa_samples() });
             }
             _ => {
                 commands.entity(entity).remove::<ViewMeshShadowPipeline>();
@@ -256,12 +274,13 @@ pub(super) fn mesh_shadows(
         &MeshViewBindGroup,
         &ViewMeshShadows,
         &ViewMeshShadowPipeline,
+        Option<&ViewShadowMask>,
     )>,
     cache: Res<PipelineCache>,
     stats: Res<SmokeRenderStats>,
     mut ctx: RenderContext,
 ) {
-    let (target, depth, camera, mesh_view, shadows, pipeline) = view.into_inner();
+    let (target, depth, camera, mesh_view, shadows, pipeline, mask) = view.into_inner();
     // Pipelines compile while the app runs.
     let Some(render_pipeline) = cache.get_render_pipeline(pipeline.id) else { return };
     let mut resources = vec![
@@ -298,6 +317,9 @@ pub(super) fn mesh_shadows(
     pass.set_bind_group(0, &mesh_view.main, &mesh_view.main_offsets);
     pass.set_bind_group(1, &mesh_view.binding_array, &[]);
     pass.set_bind_group(2, &bind_group, &[]);
+    if let Some(mask) = mask {
+        pass.set_bind_group(3, &mask.bind_group, &[]);
+    }
     pass.draw(0..3, 0..pipeline.samples);
     stats.mesh_shadows.add(1);
     span.end(&mut pass);

@@ -6,14 +6,16 @@
 //! | `density` | RBFs, bins, two hashed residuals | density of every cell | moment of smoke |
 //! | `coarse` | density | density of a 64³ grid | moment of smoke |
 //! | `pair_matrix` | RBFs, coarse density | how much each RBF sees of each other | volume, moment of smoke and extinction |
-//! | `incident_light` | coefficients, lamps, RBFs, coarse density | SH light and columns to the lamps at 7 probes an RBF | volume and light |
+//! | `incident_light` | coefficients, lamps, RBFs, coarse densities, spheres | SH light and columns to the lamps at 7 probes an RBF | volume, light and what stands in it |
 //! | `scattering` | pair matrix, light at the probes | SH light that each RBF sees of the others | the same |
 //! | `diffusion` | light at the probes, coarse density | SH light at the probes, added; in the place of `pair_matrix` and `scattering` | the same |
 //! | `outgoing` | light at the probes, scattered light | quadratic fit of the radiance toward the eye, an RBF | the same, × view if g ≠ 0 |
 //! | `volume` | those, lamps, RBFs, bins, density | 3D texture of source radiance and density | the same |
+//! | `shadow_probes` | coarse density, sky | what smoke takes of the sky, at 24³ points around it | volume and sky |
+//! | `mesh_shadows` | those, coarse densities, spheres, depth, Bevy's lights and shadow maps | the view's meshes, shaded | view |
 //! | `view` | the 3D texture, the view's depth | the view's colours | view |
 //!
-//! All but the last are compute passes in Bevy's `RenderGraph` schedule, before the cameras' own, and run only when
+//! All but the last two are compute passes in Bevy's `RenderGraph` schedule, before the cameras' own, and run only when
 //! something they read has changed: a static scene dispatches none of them. The view pass runs in `Core3d` after the opaque
 //! pass and before the transparent one; where transparent meshes are behind smoke or in it, it is drawn among them
 //! ([`slabs`]). Each is a GPU span of its own; games can order against [`SmokeSystems`].
@@ -50,6 +52,7 @@ mod placed;
 mod prepare;
 mod scattering;
 mod shading;
+mod shadow_mask;
 mod shadow_probes;
 mod sky;
 mod slabs;
@@ -108,7 +111,8 @@ impl Plugin for SmokeRenderPlugin {
         app.insert_resource(stats.clone())
             .init_resource::<EnvironmentSuns>()
             .add_systems(PostUpdate, find_suns)
-            .register_required_components::<SmokeVolume, SyncToRenderWorld>();
+            .register_required_components::<SmokeVolume, SyncToRenderWorld>()
+            .add_plugins(shadow_mask::ShadowMaskPlugin);
 
         let render_app = app.sub_app_mut(RenderApp);
         render_app
@@ -137,7 +141,8 @@ impl Plugin for SmokeRenderPlugin {
             )
             .add_systems(
                 Render,
-                mesh_shadows::prepare_mesh_shadow_pipelines
+                (shadow_mask::prepare_shadow_masks, mesh_shadows::prepare_mesh_shadow_pipelines)
+                    .chain()
                     .in_set(RenderSystems::PrepareBindGroups)
                     .after(prepare::prepare_smoke)
                     .run_if(resource_exists::<mesh_shadows::MeshShadowPass>),
@@ -165,7 +170,7 @@ impl Plugin for SmokeRenderPlugin {
             )
             .add_systems(
                 Core3d,
-                (mesh_shadows::mesh_shadows, view::view)
+                (shadow_mask::shadow_mask, mesh_shadows::mesh_shadows, view::view)
                     .chain()
                     .after(main_opaque_pass_3d)
                     // What is behind glass is seen through it.
@@ -265,6 +270,7 @@ fn init_passes(
     draw_functions.write().add(slabs::DrawSlab);
     if let Some(pass) = mesh_shadows::MeshShadowPass::new(mesh_pipeline.as_deref(), &shaders.mesh_shadows) {
         commands.insert_resource(pass);
+        commands.insert_resource(shadow_mask::ShadowMaskPass::new(&shaders.shadow_mask));
     }
 }
 

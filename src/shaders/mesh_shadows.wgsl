@@ -44,9 +44,20 @@ struct Occlusion {
 // Centres in the world and radii.
 @group(2) @binding(7) var<storage, read> spheres: array<vec4<f32>>;
 #endif
+#ifdef MASKED
+// 1 where meshes are that are not shaded.
+#ifdef MULTISAMPLED
+@group(3) @binding(0) var mask_texture: texture_multisampled_2d<f32>;
+#else
+@group(3) @binding(0) var mask_texture: texture_2d<f32>;
+#endif
+#endif
 
 // Radiance of a surface that reflects 18 % over its irradiance.
 const GREY: f32 = 0.18 / PI;
+
+// A smaller share of light that is missing is not seen: a quarter of a step of 8 bits at most.
+const FAINT: f32 = 5e-4;
 
 // Steps through a caster's coarse grid toward a light.
 const STEPS: u32 = 24u;
@@ -66,13 +77,33 @@ fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) sample: u3
     return Vertex(vec4(corner, 0.0, 1.0), sample, scene.caster_count, scene.sun_count, scene.sphere_count);
 }
 
+// In the place of a sample's number: the mean of a pixel's samples, which on a plane is the depth of its middle.
+const ALL_SAMPLES: u32 = 0xffffu;
+
 fn depth_at(pixel: vec2<i32>, sample: u32) -> f32 {
 #ifdef MULTISAMPLED
+    if sample == ALL_SAMPLES {
+        var sum = 0.0;
+        for (var i = 0u; i < #{SAMPLES}u; i++) {
+            sum += textureLoad(depth_texture, pixel, i32(i));
+        }
+        return sum / f32(#{SAMPLES}u);
+    }
     return textureLoad(depth_texture, pixel, i32(sample));
 #else
     return textureLoad(depth_texture, pixel, 0);
 #endif
 }
+
+#ifdef MASKED
+fn is_masked(pixel: vec2<i32>, sample: u32) -> bool {
+#ifdef MULTISAMPLED
+    return textureLoad(mask_texture, pixel, i32(sample)).r > 0.5;
+#else
+    return textureLoad(mask_texture, pixel, 0).r > 0.5;
+#endif
+}
+#endif
 
 fn world_position(pixel: vec2<f32>, depth: f32) -> vec3<f32> {
     let uv = (pixel - view_bindings::view.viewport.xy) / view_bindings::view.viewport.zw;
@@ -91,7 +122,7 @@ fn slope(point: vec3<f32>, pixel: vec2<f32>, axis: vec2<f32>, sample: u32) -> ve
 fn surface_normal(point: vec3<f32>, pixel: vec2<f32>, sample: u32) -> vec3<f32> {
 #ifdef NORMAL_PREPASS
 #ifdef MULTISAMPLED
-    let stored = textureLoad(view_bindings::normal_prepass_texture, vec2<i32>(pixel), i32(sample));
+    let stored = textureLoad(view_bindings::normal_prepass_texture, vec2<i32>(pixel), i32(select(sample, 0u, sample == ALL_SAMPLES)));
 #else
     let stored = textureLoad(view_bindings::normal_prepass_texture, vec2<i32>(pixel), 0);
 #endif
@@ -241,8 +272,14 @@ struct Fragment {
 @fragment
 fn fragment(in: Vertex) -> Fragment {
     let pixel = in.position.xy;
-    let depth = depth_at(vec2<i32>(pixel), in.sample);
+    var sample = in.sample;
+    var depth = depth_at(vec2<i32>(pixel), sample);
     var out: Fragment;
+#ifdef MASKED
+    if is_masked(vec2<i32>(pixel), in.sample) {
+        discard;
+    }
+#endif
 #ifdef MULTISAMPLED
     // Where all samples see about the same depth the first shades them all.
     var nearest = depth;
@@ -252,46 +289,60 @@ fn fragment(in: Vertex) -> Fragment {
         nearest = max(nearest, other);
         farthest = min(farthest, other);
     }
-    let shared_by_all = nearest - farthest < 0.02 * nearest;
-    if shared_by_all && in.sample > 0u {
+    var shared_by_all = nearest - farthest < 0.02 * nearest;
+#ifdef MASKED
+    for (var i = 0u; i < #{SAMPLES}u; i++) {
+        shared_by_all = shared_by_all && !is_masked(vec2<i32>(pixel), i);
+    }
+#endif
+    if shared_by_all && sample > 0u {
         discard;
     }
-    out.mask = select(1u << in.sample, 0xffffffffu, shared_by_all);
+    out.mask = select(1u << sample, 0xffffffffu, shared_by_all);
+    if shared_by_all {
+        sample = ALL_SAMPLES;
+        depth = depth_at(vec2<i32>(pixel), sample);
+    }
 #endif
     // Nothing but sky.
     if depth <= 0.0 {
         discard;
     }
     let point = world_position(pixel, depth);
-    let normal = surface_normal(point, pixel, in.sample);
+    let normal = surface_normal(point, pixel, sample);
 
     let is_orthographic = view_bindings::view.clip_from_view[3].w == 1.0;
     let view_z = (view_bindings::view.view_from_world * vec4(point, 1.0)).z;
     let cluster = clustering::view_fragment_cluster_index(pixel, view_z, is_orthographic);
     let lamps = clustering::unpack_clusterable_object_index_ranges(cluster);
 
-    // Most surfaces are out of the smoke's reach: they are left as they are.
+    // Most surfaces are out of the smoke's reach, or so far that nobody would tell: they are left as they are.
     var sky = sky_irradiance(scene.sky, environment, normal);
     let clear_sky = sky;
-    var shaded = false;
     for (var i = 0u; i < in.caster_count; i++) {
         let missing = sky_missing(scene.casters[i], point, normal);
-        shaded = shaded || any(missing > vec3(0.0));
         // Behind one another, casters take of what is left.
         sky *= 1.0 - min(missing / max(clear_sky, vec3(1e-30)), vec3(1.0));
     }
 #ifdef OCCLUDERS
-    let open = unoccluded(point, normal, in.sphere_count);
-    shaded = shaded || any(open < vec3(1.0));
-    sky *= open;
+    sky *= unoccluded(point, normal, in.sphere_count);
 #endif
+    var shaded = any(clear_sky - sky > FAINT * clear_sky);
     let sun = transpose(scene.sky.environment_from_world) * scene.sky.sun_direction;
     let sun_irradiance = scene.sky.sun_irradiance * (scene.sky.scale * max(dot(sun, normal), 0.0));
-    let sun_is_shaded = any(sun_irradiance > vec3(0.0)) && meets_smoke(point, sun, 1e30, in.caster_count);
-    shaded = shaded || sun_is_shaded;
+    if any(sun_irradiance > vec3(0.0)) {
+        let kept = transmittance(point, sun, 1e30, in.caster_count);
+        shaded = shaded || kept < 1.0 - FAINT;
+        sky = max(sky - sun_irradiance * (1.0 - kept), vec3(0.0));
+    }
+    var kept_of_suns: array<f32, 10>;
     for (var i = 0u; i < in.sun_count; i++) {
         let towards = view_bindings::lights.directional_lights[i].direction_to_light;
-        shaded = shaded || (dot(towards, normal) > 0.0 && meets_smoke(point, towards, 1e30, in.caster_count));
+        kept_of_suns[i] = 1.0;
+        if dot(towards, normal) > 0.0 {
+            kept_of_suns[i] = transmittance(point, towards, 1e30, in.caster_count);
+        }
+        shaded = shaded || kept_of_suns[i] < 1.0 - FAINT;
     }
     for (var i = lamps.first_point_light_index_offset; i < lamps.first_reflection_probe_index_offset; i++) {
         let lamp = clustering::get_clusterable_object_id(i);
@@ -303,9 +354,6 @@ fn fragment(in: Vertex) -> Fragment {
         discard;
     }
 
-    if sun_is_shaded {
-        sky = max(sky - sun_irradiance * (1.0 - transmittance(point, sun, 1e30, in.caster_count)), vec3(0.0));
-    }
     var clear = clear_sky * scene.sky.unit;
     var lit = sky * scene.sky.unit;
     for (var i = 0u; i < in.sun_count; i++) {
@@ -319,7 +367,7 @@ fn fragment(in: Vertex) -> Fragment {
             irradiance *= fetch_directional_shadow(i, vec4(point, 1.0), normal, view_z, pixel);
         }
         clear += irradiance;
-        lit += irradiance * transmittance(point, towards, 1e30, in.caster_count);
+        lit += irradiance * kept_of_suns[i];
     }
     for (var i = lamps.first_point_light_index_offset; i < lamps.first_reflection_probe_index_offset; i++) {
         let lamp = clustering::get_clusterable_object_id(i);

@@ -29,6 +29,7 @@ pub(crate) fn embed(app: &mut App) {
     embedded_asset!(app, "outgoing.wgsl");
     embedded_asset!(app, "volume.wgsl");
     embedded_asset!(app, "shadow_probes.wgsl");
+    embedded_asset!(app, "shadow_mask.wgsl");
     embedded_asset!(app, "mesh_shadows.wgsl");
     embedded_asset!(app, "view.wgsl");
     #[cfg(feature = "reference")]
@@ -59,6 +60,7 @@ pub(crate) struct Shaders {
     pub outgoing: Handle<Shader>,
     pub volume: Handle<Shader>,
     pub shadow_probes: Handle<Shader>,
+    pub shadow_mask: Handle<Shader>,
     pub mesh_shadows: Handle<Shader>,
     pub view: Handle<Shader>,
     #[cfg(feature = "reference")]
@@ -93,6 +95,7 @@ impl Shaders {
             outgoing: load_embedded_asset!(assets, "outgoing.wgsl"),
             volume: load_embedded_asset!(assets, "volume.wgsl"),
             shadow_probes: load_embedded_asset!(assets, "shadow_probes.wgsl"),
+            shadow_mask: load_embedded_asset!(assets, "shadow_mask.wgsl"),
             mesh_shadows: load_embedded_asset!(assets, "mesh_shadows.wgsl"),
             view: load_embedded_asset!(assets, "view.wgsl"),
             #[cfg(feature = "reference")]
@@ -193,6 +196,11 @@ mod tests {
         validate("paper_media.wgsl", include_str!("paper_media.wgsl"), &[]);
         validate("paper_outgoing.wgsl", include_str!("paper_outgoing.wgsl"), &[]);
         validate("paper_volume.wgsl", include_str!("paper_volume.wgsl"), &[]);
+    }
+
+    #[test]
+    fn the_mask_shader_is_valid() {
+        validate("shadow_mask.wgsl", include_str!("shadow_mask.wgsl"), &[]);
     }
 
     #[test]

@@ -99,7 +99,7 @@ fn character_walks_through_smoke() {
     headless.app.insert_resource(TimeUpdateStrategy::ManualDuration(Duration::from_millis(300)));
     headless.app.update();
     let later = pixels(&headless);
-    let is_figure = |[r, _, b, _]: &[u8; 4]| 2 * u32::from(*r) > 3 * u32::from(*b);
+    let is_figure = |[r, _, b, _]: &[u8; 4]| u32::from(*r) > 2 * u32::from(*b);
     let [before, after] = [&first, &later].map(|pixels| pixels.iter().filter(|pixel| is_figure(pixel)).count());
     assert!(before > 300 && after > 300, "the figure covers {before} and then {after} pixels");
     let moved = first.iter().zip(&later).filter(|(a, b)| is_figure(a) != is_figure(b)).count();

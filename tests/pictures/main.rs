@@ -13,6 +13,7 @@ mod lamps;
 mod playback;
 mod scattering;
 mod scene;
+mod shadow_masks;
 mod shadows;
 mod transparency;
 mod work;

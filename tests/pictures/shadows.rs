@@ -1,20 +1,31 @@
 //! Shadows of smoke on meshes, of spheres on smoke, and of meshes on meshes.
 
+use bevy::camera::Viewport;
 use bevy::core_pipeline::prepass::{DeferredPrepass, DepthPrepass};
+use bevy::diagnostic::DiagnosticsStore;
 use bevy::pbr::DefaultOpaqueRendererMethod;
 use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
 use bevy_smoke::headless::Headless;
 use bevy_smoke::prelude::*;
+use bevy_smoke::render::SmokeRenderStats;
 
 use crate::scene::*;
 
-const PICTURE: UVec2 = UVec2::new(128, 96);
+pub const PICTURE: UVec2 = UVec2::new(128, 96);
 
 /// A white floor under a constant sky and a sun, with the camera that looks down on it from the side.
-fn stage() -> (Headless, Entity) {
+pub fn stage() -> (Headless, Entity) {
     let mut app = Headless::new(PICTURE, TextureFormat::Rgba16Float).unwrap();
+    stand(&mut app);
+    let eye = Transform::from_xyz(0.0, 3.0, 9.0).looking_at(Vec3::new(0.0, 1.2, 0.0), Vec3::Y);
     let camera = camera(&app);
+    let camera = app.app.world_mut().spawn(camera).insert(eye).id();
+    (app, camera)
+}
+
+/// The floor and its light.
+fn stand(app: &mut Headless) {
     let world = app.app.world_mut();
     let floor = world.resource_mut::<Assets<Mesh>>().add(Plane3d::default().mesh().size(40.0, 40.0));
     let material = StandardMaterial { perceptual_roughness: 1.0, reflectance: 0.0, ..Color::WHITE.into() };
@@ -23,13 +34,10 @@ fn stage() -> (Headless, Entity) {
     let sun = DirectionalLight { illuminance: 2.0, ..default() };
     world.spawn((sun, Transform::default().looking_to(Vec3::new(1.0, -1.0, 0.3), Vec3::Y)));
     world.insert_resource(GlobalAmbientLight { brightness: 0.5, ..default() });
-    let eye = Transform::from_xyz(0.0, 3.0, 9.0).looking_at(Vec3::new(0.0, 1.2, 0.0), Vec3::Y);
-    let camera = world.spawn(camera).insert(eye).id();
-    (app, camera)
 }
 
 /// Smoke that stands on the floor, lit by what lights the floor.
-fn plume(app: &mut Headless, at: Vec3) -> Entity {
+pub fn plume(app: &mut Headless, at: Vec3) -> Entity {
     let (volume, medium, _, transform) = smoke(app);
     app.app.world_mut().spawn((volume, medium, transform.with_translation(at))).id()
 }
@@ -90,12 +98,77 @@ fn shadows_are_the_same_however_the_view_is_drawn() {
     for (name, other) in [("deferred", picture(true, Msaa::Off)), ("multisampled", picture(false, Msaa::Sample4))] {
         let at = [SHADOW, Vec3::new(-1.2, 0.0, 0.8), Vec3::new(2.0, 0.0, 0.6)].map(pixel);
         for i in at {
-            // The deferred buffer's 8-bit albedo and its own normals cost 1 %.
+            // The deferred buffer's 8-bit albedo costs 1 %, the samples' places within a pixel at the shadow's edge 2 %.
             let ratio = other[i][0] / forward[i][0];
-            assert!((ratio - 1.0).abs() < 0.015, "{name}: {ratio}");
+            assert!((ratio - 1.0).abs() < 0.03, "{name}: {ratio}");
         }
         save_radiance(&format!("floor_{name}"), PICTURE, &other);
     }
+}
+
+/// Split screen, one half without shadows: each is what a camera of its own image would see.
+#[test]
+fn cameras_see_their_own_shadows() {
+    let half = UVec2::new(PICTURE.x / 2, PICTURE.y);
+    let eyes = [(3.0, true), (-3.0, false)].map(|(x, smoke)| {
+        let eye = Transform::from_xyz(x, 3.0, 9.0).looking_at(Vec3::new(0.0, 1.0, 0.0), Vec3::Y);
+        (eye, SmokeShadows { smoke, ..default() })
+    });
+    let alone = eyes.map(|eye| {
+        let mut app = Headless::new(half, TextureFormat::Rgba16Float).unwrap();
+        stand(&mut app);
+        plume(&mut app, Vec3::Y * 1.7);
+        let camera = camera(&app);
+        app.app.world_mut().spawn(camera).insert(eye);
+        draw(&mut app)
+    });
+    let mut app = Headless::new(PICTURE, TextureFormat::Rgba16Float).unwrap();
+    stand(&mut app);
+    plume(&mut app, Vec3::Y * 1.7);
+    for (i, eye) in eyes.into_iter().enumerate() {
+        let physical_position = UVec2::new(half.x * i as u32, 0);
+        let viewport = Some(Viewport { physical_position, physical_size: half, ..default() });
+        let clear_color = if i == 0 { ClearColorConfig::Custom(Color::NONE) } else { ClearColorConfig::None };
+        let camera = camera(&app);
+        app.app.world_mut().spawn(camera).insert(eye).insert(Camera {
+            viewport,
+            order: i as isize,
+            clear_color,
+            ..default()
+        });
+    }
+    let both = draw(&mut app);
+    save_radiance("split_shadows", PICTURE, &both);
+    for (i, alone) in alone.iter().enumerate() {
+        let of_half = |y: u32| &both[(PICTURE.x * y + half.x * i as u32) as usize..][..half.x as usize];
+        let seen: Vec<[f32; 4]> = (0..half.y).flat_map(of_half).copied().collect();
+        // f16 pixels; the second camera's picture is blended over what was there.
+        let floor = |pixels: &[[f32; 4]]| pixels[(half.x * (half.y - 12)) as usize..].to_vec();
+        assert!(rms(&floor(&seen), &floor(alone)) < 1e-3, "camera {i}: {}", rms(&floor(&seen), &floor(alone)));
+    }
+    // The first alone sees the shadow.
+    let darkest = |pixels: &[[f32; 4]]| {
+        let floor = pixels[(half.x * half.y * 2 / 3) as usize..].iter().map(|pixel| pixel[0]);
+        floor.fold(f32::INFINITY, f32::min)
+    };
+    assert!(darkest(&alone[0]) < 0.8 * darkest(&alone[1]), "{} {}", darkest(&alone[0]), darkest(&alone[1]));
+}
+
+/// A scene without smoke has none of its passes, whatever its cameras ask for and whatever could shade.
+#[test]
+fn scenes_without_smoke_are_left_alone() {
+    let (mut app, camera) = stage();
+    let world = app.app.world_mut();
+    world.spawn(SmokeOccluder::new([(Vec3::Y, 0.5)]));
+    world.entity_mut(camera).insert(SmokeShadows::default());
+    for _ in 0..10 {
+        app.app.update();
+    }
+    let dispatches = app.app.world().resource::<SmokeRenderStats>().dispatches();
+    assert!(dispatches.iter().all(|count| *count == 0), "{dispatches:?}");
+    let diagnostics = app.app.world().resource::<DiagnosticsStore>();
+    let spans: Vec<_> = diagnostics.iter().filter(|span| span.path().as_str().contains("smoke")).collect();
+    assert!(spans.is_empty());
 }
 
 #[test]
@@ -106,7 +179,7 @@ fn volumes_shade_each_other_and_the_same_ground() {
         draw(&mut app)
     };
     // The second stands in the sun's shadow of the first.
-    let (first, second) = (Vec3::new(-1.6, 1.7, 0.0), Vec3::new(0.6, 1.7, 0.6));
+    let (first, second) = (Vec3::new(-1.6, 1.7, 0.0), Vec3::new(-0.2, 1.7, 0.4));
     let (mut app, _) = stage();
     plume(&mut app, first);
     plume(&mut app, second);
@@ -115,13 +188,13 @@ fn volumes_shade_each_other_and_the_same_ground() {
     let (clear, a, b) = (clear(), alone(first), alone(second));
     // On the ground behind both, sun and sky are each dimmed twice: by less than the shares of the sum multiplied, where
     // both take much of the sun.
-    let behind = pixel(Vec3::new(2.4, 0.0, 0.9));
+    let behind = pixel(Vec3::new(1.5, 0.0, 0.9));
     let share = |picture: &[[f32; 4]]| picture[behind][0] / clear[behind][0];
     assert!(share(&both) < share(&a).min(share(&b)), "{} {} {}", share(&both), share(&a), share(&b));
     assert!(share(&both) > share(&a) * share(&b) - 0.01);
     // The second's own light is less for the first's shadow.
     let lit = |picture: &[[f32; 4]]| {
-        (0..3).map(|i| picture[pixel(second + Vec3::Y * (0.2 * i as f32 - 0.2))][0]).sum::<f32>()
+        (0..3).map(|i| picture[pixel(second + Vec3::Y * (0.2 * i as f32 - 1.0))][0]).sum::<f32>()
     };
     assert!(lit(&both) < 0.97 * lit(&b), "{} of {}", lit(&both), lit(&b));
 }
