@@ -24,7 +24,7 @@ use bevy_smoke::render::SmokeRenderStats;
 const USAGE: &str = "\
 usage: terrain [OPTIONS]          in a window, a day a minute
        terrain --png FILE [OPTIONS]
-  --hour H       the time of day, from 0 to 24 (in pictures 8; in a window time goes on from there)
+  --hour H       the time of day, from 0 to 24 (17.4; in a window time goes on from there)
   --frames N     N frames: with --png a day in numbered files, FILE_0001.png and so on
   --still        time stands still in all frames: nothing is lit anew
   --no-shadows   smoke, terrain and sun do not shade each other
@@ -35,7 +35,7 @@ usage: terrain [OPTIONS]          in a window, a day a minute
 const VERTICES: u32 = 190;
 const SIDE: f32 = 64.0;
 /// The luminance (cd/m²) that the colours of the sky are multiples of.
-const LUMINANCE: f32 = 150.0;
+const LUMINANCE: f32 = 200.0;
 /// Texels a side of the sky's six faces.
 const SKY_TEXELS: u32 = 48;
 
@@ -54,7 +54,7 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         let size = UVec2::new(960, 540);
-        Self { png: None, hour: 8.0, frames: None, still: false, shadows: true, size, stats: false }
+        Self { png: None, hour: 17.4, frames: None, still: false, shadows: true, size, stats: false }
     }
 }
 
@@ -129,7 +129,12 @@ fn pictures(options: Options) -> Result<(), String> {
     headless.app.add_systems(Startup, setup(options)).add_systems(Update, light_day);
     headless.draw_cameras_to_image();
     headless.settle().map_err(|error| error.to_string())?;
-    // Meshes and their textures take a few frames more.
+    // Meshes and their textures take a few frames more, and spheres are fitted beside.
+    let world = headless.app.world_mut();
+    let mut fits = world.query_filtered::<(), (With<SmokeOccluderFit>, Without<SmokeOccluder>)>();
+    while fits.iter(headless.app.world()).next().is_some() {
+        headless.app.update();
+    }
     for _ in 0..4 {
         headless.app.update();
     }
@@ -214,15 +219,19 @@ pub fn setup(
         commands.insert_resource(GlobalAmbientLight { brightness: 0.0, ..default() });
 
         let ground = StandardMaterial { perceptual_roughness: 1.0, reflectance: 0.1, ..default() };
-        commands.spawn((Mesh3d(meshes.add(terrain())), MeshMaterial3d(materials.add(ground))));
+        let mut mountains = commands.spawn((Mesh3d(meshes.add(terrain())), MeshMaterial3d(materials.add(ground))));
+        if shadows {
+            // Spheres under the ground, which keep light from below off the smoke.
+            mountains.insert(SmokeOccluderFit::ground(64));
+        }
 
         // A fire behind the ridge.
         let base = Vec2::new(1.5, -6.5);
-        let size = 13.0;
+        let size = 15.0;
         commands.spawn((
             SmokeVolume::new(assets.load("billow.smoke")),
             SmokePlayback::ping_pong().with_range(24..=47).with_speed(0.5).starting_at_frame(40),
-            SmokeMedium { sigma_t: 60.0 / size, albedo: LinearRgba::rgb(0.97, 0.96, 0.95), g: 0.3 },
+            SmokeMedium { sigma_t: 70.0 / size, albedo: LinearRgba::rgb(0.98, 0.97, 0.96), g: 0.3 },
             Transform::from_xyz(base.x, height(base) + 0.42 * size, base.y).with_scale(Vec3::splat(size)),
         ));
 
@@ -249,7 +258,7 @@ pub fn setup(
                 ..default()
             },
             Projection::Perspective(PerspectiveProjection { fov: 0.85, ..default() }),
-            Transform::from_xyz(-2.0, 6.0, 18.0).looking_at(Vec3::new(0.5, 7.6, -5.0), Vec3::Y),
+            Transform::from_xyz(-2.0, 5.5, 15.0).looking_at(Vec3::new(1.5, 8.6, -6.0), Vec3::Y),
         ));
         commands.insert_resource(Sky { radiance, irradiance });
     }
@@ -299,18 +308,18 @@ fn sun_direction(hour: f32) -> Vec3 {
 fn sunlight(sun: Vec3) -> Vec3 {
     let air = 1.0 / (sun.y.max(0.0) + 0.09);
     let reddened = Vec3::new(0.05, 0.13, 0.3) * -air;
-    6.5 * smoothstep(-0.02, 0.08, sun.y) * Vec3::new(reddened.x.exp(), reddened.y.exp(), reddened.z.exp())
+    8.5 * smoothstep(-0.02, 0.08, sun.y) * Vec3::new(reddened.x.exp(), reddened.y.exp(), reddened.z.exp())
 }
 
 fn moonlight(moon: Vec3) -> Vec3 {
-    0.16 * smoothstep(0.0, 0.15, moon.y) * Vec3::new(0.6, 0.75, 1.0)
+    0.6 * smoothstep(0.0, 0.15, moon.y) * Vec3::new(0.6, 0.75, 1.0)
 }
 
 /// Radiance of the sky in a direction, in multiples of its unit.
 fn sky_radiance(direction: Vec3, sun: Vec3) -> Vec3 {
     let day = smoothstep(-0.18, 0.3, sun.y);
-    let zenith = Vec3::new(0.006, 0.010, 0.026).lerp(Vec3::new(0.06, 0.16, 0.42), day);
-    let horizon = Vec3::new(0.014, 0.020, 0.040).lerp(Vec3::new(0.42, 0.52, 0.66), day);
+    let zenith = Vec3::new(0.010, 0.017, 0.042).lerp(Vec3::new(0.06, 0.16, 0.42), day);
+    let horizon = Vec3::new(0.026, 0.038, 0.075).lerp(Vec3::new(0.42, 0.52, 0.66), day);
     let toward = direction.dot(sun).max(0.0);
     // Dusk glows along the horizon under the sun, and violet opposite.
     let dusk = (-(sun.y / 0.22).powi(2)).exp();
@@ -409,7 +418,7 @@ fn ground_color(at: Vec3, normal: Vec3) -> LinearRgba {
     let rock = Vec3::new(0.17, 0.15, 0.13).lerp(Vec3::new(0.26, 0.235, 0.21), mottled);
     let snow = Vec3::splat(0.82);
     let steep = smoothstep(0.86, 0.68, normal.y);
-    let high = smoothstep(6.6, 8.2, at.y + 1.2 * (mottled - 0.5)) * smoothstep(0.6, 0.78, normal.y);
+    let high = smoothstep(5.6, 7.2, at.y + 1.2 * (mottled - 0.5)) * smoothstep(0.6, 0.78, normal.y);
     let color = grass.lerp(rock, steep.max(smoothstep(3.2, 5.4, at.y))).lerp(snow, high);
     LinearRgba::rgb(color.x, color.y, color.z)
 }

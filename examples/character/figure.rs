@@ -54,15 +54,13 @@ fn cones() -> Vec<Cone> {
         cone(HEAD, [0.0, 1.46, -0.01], [0.0, 1.60, 0.01], [0.054, 0.05]),
         cone(HEAD, [0.0, 1.63, 0.03], [0.0, 1.70, 0.005], [0.078, 0.098]),
     ];
-    for side in 0..2 {
+    for ([shoulder, elbow, wrist], [hip, knee, ankle]) in ARMS.into_iter().zip(LEGS) {
         let place = |joint: usize| JOINTS[joint].1;
         let mut limb = |joint, ends, radii| cones.push(Cone { joint, ends, radii });
-        let [shoulder, elbow, wrist] = ARMS[side];
         let hand = place(wrist) + 0.4 * (place(wrist) - place(elbow));
         limb(shoulder, [place(shoulder), place(elbow)], [0.056, 0.042]);
         limb(elbow, [place(elbow), place(wrist)], [0.042, 0.029]);
         limb(wrist, [place(wrist), hand], [0.029, 0.038]);
-        let [hip, knee, ankle] = LEGS[side];
         let foot = place(ankle);
         limb(hip, [place(hip), place(knee)], [0.092, 0.058]);
         limb(knee, [place(knee), place(ankle)], [0.06, 0.038]);
@@ -143,7 +141,8 @@ pub fn mesh() -> Mesh {
         for axis in 0..3 {
             let mut next = place;
             next[axis] += 1;
-            if next[axis] >= dims[axis] || (values[index(place)] < 0.0) == (values[index(next)] < 0.0) {
+            let is_past = next.iter().zip(dims).any(|(at, cells)| *at >= cells);
+            if is_past || (values[index(place)] < 0.0) == (values[index(next)] < 0.0) {
                 continue;
             }
             let back = |axes: &[usize]| {

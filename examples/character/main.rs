@@ -105,14 +105,14 @@ pub fn setup(
         SmokeVolume::new(assets.load("billow.smoke")),
         SmokePlayback::default().starting_at_frame(36),
         SmokeMedium { sigma_t: 4.0, albedo: LinearRgba::rgb(0.95, 0.94, 0.93), g: 0.3 },
-        Transform::from_xyz(0.0, 1.9, 0.0).with_scale(Vec3::splat(4.0)),
+        Transform::from_xyz(0.25, 2.95, -0.35).with_scale(Vec3::splat(6.2)),
     ));
 
     let skin = materials.add(StandardMaterial { perceptual_roughness: 0.7, ..Color::srgb(0.75, 0.3, 0.16).into() });
     let bindposes = poses.add(figure::inverse_bindposes());
     let walker = figure::spawn(&mut commands, meshes.add(figure::mesh()), bindposes, skin, Transform::IDENTITY);
     // The spheres are fitted to the mesh, and follow its joints.
-    commands.entity(walker).insert((Walker { walked: 3.2 }, SmokeOccluderFit::solid(48)));
+    commands.entity(walker).insert((Walker { walked: 2.6 }, SmokeOccluderFit::solid(48)));
 
     commands.spawn((
         Mesh3d(meshes.add(Plane3d::default().mesh().size(120.0, 120.0))),
@@ -125,27 +125,27 @@ pub fn setup(
 
     commands.spawn((
         DirectionalLight {
-            illuminance: 900.0,
-            color: Color::srgb(1.0, 0.86, 0.68),
+            illuminance: 2600.0,
+            color: Color::srgb(1.0, 0.8, 0.58),
             shadow_maps_enabled: true,
             ..default()
         },
         CascadeShadowConfigBuilder { maximum_distance: 20.0, num_cascades: 2, ..default() }.build(),
-        Transform::from_xyz(-4.0, 4.2, -1.5).looking_at(Vec3::ZERO, Vec3::Y),
+        Transform::from_xyz(-5.0, 2.3, 0.6).looking_at(Vec3::ZERO, Vec3::Y),
     ));
     let (sky, horizon, below) =
         (Color::srgb(0.45, 0.62, 1.0), Color::srgb(0.8, 0.78, 0.8), Color::srgb(0.22, 0.2, 0.18));
-    let haze = Color::srgb(0.36, 0.45, 0.56);
+    let haze = Color::srgb(0.16, 0.22, 0.31);
     commands.spawn((
         Camera3d::default(),
         Camera { clear_color: ClearColorConfig::Custom(haze), ..default() },
         Exposure::INDOOR,
         EnvironmentMapLight {
-            intensity: 170.0,
+            intensity: 50.0,
             ..EnvironmentMapLight::hemispherical_gradient(&mut images, sky, horizon, below)
         },
         DistanceFog { color: haze, falloff: FogFalloff::Linear { start: 9.0, end: 45.0 }, ..default() },
-        Transform::from_xyz(1.2, 1.5, 5.6).looking_at(Vec3::new(0.0, 1.35, 0.0), Vec3::Y),
+        Transform::from_xyz(0.3, 1.2, 4.7).looking_at(Vec3::new(0.15, 1.25, 0.0), Vec3::Y),
     ));
 }
 

@@ -102,7 +102,7 @@ pub(super) fn fit_parts(
     let mut cover = Cover::new(&coarse);
     place(&mut cover, &coarse, spheres);
     let to_space = |solid: &Solid, ball: &Ball| Ball {
-        center: solid.lattice.to_space(ball.center),
+        center: solid.lattice.in_space(ball.center),
         radius: ball.radius * solid.lattice.cell,
         part: ball.part,
     };
@@ -112,7 +112,7 @@ pub(super) fn fit_parts(
     let mut cover = Cover::new(&fine);
     for ball in balls {
         cover.add(Ball {
-            center: fine.lattice.from_space(ball.center),
+            center: fine.lattice.in_cells(ball.center),
             radius: ball.radius / fine.lattice.cell,
             part: ball.part,
         });
@@ -161,7 +161,7 @@ fn solid(mesh: &TriangleMesh, places: &[(Vec3, u16)], cells: usize) -> Result<So
         return Err(FitFailure::NoInside);
     }
     if !places.is_empty() {
-        let seeds: Vec<usize> = places.iter().map(|(place, _)| lattice.index_of(lattice.from_space(*place))).collect();
+        let seeds: Vec<usize> = places.iter().map(|(place, _)| lattice.index_of(lattice.in_cells(*place))).collect();
         for (part, nearest) in part.iter_mut().zip(lattice.flood(&seeds)) {
             if *part != OUTSIDE {
                 *part = places[nearest as usize].1;

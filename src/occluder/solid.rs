@@ -88,12 +88,12 @@ impl Lattice {
     }
 
     /// From space to units of cells.
-    pub fn from_space(&self, point: Vec3) -> Vec3 {
+    pub fn in_cells(&self, point: Vec3) -> Vec3 {
         (point - self.origin) / self.cell
     }
 
     /// From units of cells to space.
-    pub fn to_space(&self, point: Vec3) -> Vec3 {
+    pub fn in_space(&self, point: Vec3) -> Vec3 {
         self.origin + point * self.cell
     }
 
@@ -149,7 +149,7 @@ pub(super) fn inside(mesh: &TriangleMesh, lattice: &Lattice) -> Vec<bool> {
         let mut crossings: Vec<(u32, f32, i16)> = Vec::new();
         for corners in mesh.corners() {
             // No mesh of round numbers has its edges on columns moved by this.
-            let corners = corners.map(|corner| lattice.from_space(corner) + vec3(3.1e-4, 5.3e-4, 7.7e-4));
+            let corners = corners.map(|corner| lattice.in_cells(corner) + vec3(3.1e-4, 5.3e-4, 7.7e-4));
             cross_columns(corners, [axis, u, v], lattice.dims, |column, depth, sign| {
                 crossings.push((column as u32, depth, sign));
             });
@@ -236,7 +236,7 @@ mod tests {
         let found = inside(mesh, &lattice);
         let cells = found.iter().filter(|inside| **inside).count();
         let wrong =
-            (0..lattice.len()).filter(|cell| found[*cell] != is_inside(lattice.to_space(lattice.center(*cell))));
+            (0..lattice.len()).filter(|cell| found[*cell] != is_inside(lattice.in_space(lattice.center(*cell))));
         wrong.count() as f32 / cells as f32
     }
 

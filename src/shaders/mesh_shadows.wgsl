@@ -77,8 +77,18 @@ fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) sample: u3
     return Vertex(vec4(corner, 0.0, 1.0), sample, scene.caster_count, scene.sun_count, scene.sphere_count);
 }
 
+// In the place of a sample's number: the mean of a pixel's samples, which on a plane is the depth of its middle.
+const ALL_SAMPLES: u32 = 0xffffu;
+
 fn depth_at(pixel: vec2<i32>, sample: u32) -> f32 {
 #ifdef MULTISAMPLED
+    if sample == ALL_SAMPLES {
+        var sum = 0.0;
+        for (var i = 0u; i < #{SAMPLES}u; i++) {
+            sum += textureLoad(depth_texture, pixel, i32(i));
+        }
+        return sum / f32(#{SAMPLES}u);
+    }
     return textureLoad(depth_texture, pixel, i32(sample));
 #else
     return textureLoad(depth_texture, pixel, 0);
@@ -112,7 +122,7 @@ fn slope(point: vec3<f32>, pixel: vec2<f32>, axis: vec2<f32>, sample: u32) -> ve
 fn surface_normal(point: vec3<f32>, pixel: vec2<f32>, sample: u32) -> vec3<f32> {
 #ifdef NORMAL_PREPASS
 #ifdef MULTISAMPLED
-    let stored = textureLoad(view_bindings::normal_prepass_texture, vec2<i32>(pixel), i32(sample));
+    let stored = textureLoad(view_bindings::normal_prepass_texture, vec2<i32>(pixel), i32(select(sample, 0u, sample == ALL_SAMPLES)));
 #else
     let stored = textureLoad(view_bindings::normal_prepass_texture, vec2<i32>(pixel), 0);
 #endif
@@ -262,7 +272,8 @@ struct Fragment {
 @fragment
 fn fragment(in: Vertex) -> Fragment {
     let pixel = in.position.xy;
-    let depth = depth_at(vec2<i32>(pixel), in.sample);
+    var sample = in.sample;
+    var depth = depth_at(vec2<i32>(pixel), sample);
     var out: Fragment;
 #ifdef MASKED
     if is_masked(vec2<i32>(pixel), in.sample) {
@@ -284,17 +295,21 @@ fn fragment(in: Vertex) -> Fragment {
         shared_by_all = shared_by_all && !is_masked(vec2<i32>(pixel), i);
     }
 #endif
-    if shared_by_all && in.sample > 0u {
+    if shared_by_all && sample > 0u {
         discard;
     }
-    out.mask = select(1u << in.sample, 0xffffffffu, shared_by_all);
+    out.mask = select(1u << sample, 0xffffffffu, shared_by_all);
+    if shared_by_all {
+        sample = ALL_SAMPLES;
+        depth = depth_at(vec2<i32>(pixel), sample);
+    }
 #endif
     // Nothing but sky.
     if depth <= 0.0 {
         discard;
     }
     let point = world_position(pixel, depth);
-    let normal = surface_normal(point, pixel, in.sample);
+    let normal = surface_normal(point, pixel, sample);
 
     let is_orthographic = view_bindings::view.clip_from_view[3].w == 1.0;
     let view_z = (view_bindings::view.view_from_world * vec4(point, 1.0)).z;

@@ -5,6 +5,7 @@
 
 mod cameras;
 mod compositing;
+mod effects;
 mod endurance;
 mod environments;
 mod examples;

@@ -1,11 +1,14 @@
 //! Shadows of smoke on meshes, of spheres on smoke, and of meshes on meshes.
 
+use bevy::camera::Viewport;
 use bevy::core_pipeline::prepass::{DeferredPrepass, DepthPrepass};
+use bevy::diagnostic::DiagnosticsStore;
 use bevy::pbr::DefaultOpaqueRendererMethod;
 use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
 use bevy_smoke::headless::Headless;
 use bevy_smoke::prelude::*;
+use bevy_smoke::render::SmokeRenderStats;
 
 use crate::scene::*;
 
@@ -14,7 +17,15 @@ pub const PICTURE: UVec2 = UVec2::new(128, 96);
 /// A white floor under a constant sky and a sun, with the camera that looks down on it from the side.
 pub fn stage() -> (Headless, Entity) {
     let mut app = Headless::new(PICTURE, TextureFormat::Rgba16Float).unwrap();
+    stand(&mut app);
+    let eye = Transform::from_xyz(0.0, 3.0, 9.0).looking_at(Vec3::new(0.0, 1.2, 0.0), Vec3::Y);
     let camera = camera(&app);
+    let camera = app.app.world_mut().spawn(camera).insert(eye).id();
+    (app, camera)
+}
+
+/// The floor and its light.
+fn stand(app: &mut Headless) {
     let world = app.app.world_mut();
     let floor = world.resource_mut::<Assets<Mesh>>().add(Plane3d::default().mesh().size(40.0, 40.0));
     let material = StandardMaterial { perceptual_roughness: 1.0, reflectance: 0.0, ..Color::WHITE.into() };
@@ -23,9 +34,6 @@ pub fn stage() -> (Headless, Entity) {
     let sun = DirectionalLight { illuminance: 2.0, ..default() };
     world.spawn((sun, Transform::default().looking_to(Vec3::new(1.0, -1.0, 0.3), Vec3::Y)));
     world.insert_resource(GlobalAmbientLight { brightness: 0.5, ..default() });
-    let eye = Transform::from_xyz(0.0, 3.0, 9.0).looking_at(Vec3::new(0.0, 1.2, 0.0), Vec3::Y);
-    let camera = world.spawn(camera).insert(eye).id();
-    (app, camera)
 }
 
 /// Smoke that stands on the floor, lit by what lights the floor.
@@ -96,6 +104,71 @@ fn shadows_are_the_same_however_the_view_is_drawn() {
         }
         save_radiance(&format!("floor_{name}"), PICTURE, &other);
     }
+}
+
+/// Split screen, one half without shadows: each is what a camera of its own image would see.
+#[test]
+fn cameras_see_their_own_shadows() {
+    let half = UVec2::new(PICTURE.x / 2, PICTURE.y);
+    let eyes = [(3.0, true), (-3.0, false)].map(|(x, smoke)| {
+        let eye = Transform::from_xyz(x, 3.0, 9.0).looking_at(Vec3::new(0.0, 1.0, 0.0), Vec3::Y);
+        (eye, SmokeShadows { smoke, ..default() })
+    });
+    let alone = eyes.map(|eye| {
+        let mut app = Headless::new(half, TextureFormat::Rgba16Float).unwrap();
+        stand(&mut app);
+        plume(&mut app, Vec3::Y * 1.7);
+        let camera = camera(&app);
+        app.app.world_mut().spawn(camera).insert(eye);
+        draw(&mut app)
+    });
+    let mut app = Headless::new(PICTURE, TextureFormat::Rgba16Float).unwrap();
+    stand(&mut app);
+    plume(&mut app, Vec3::Y * 1.7);
+    for (i, eye) in eyes.into_iter().enumerate() {
+        let physical_position = UVec2::new(half.x * i as u32, 0);
+        let viewport = Some(Viewport { physical_position, physical_size: half, ..default() });
+        let clear_color = if i == 0 { ClearColorConfig::Custom(Color::NONE) } else { ClearColorConfig::None };
+        let camera = camera(&app);
+        app.app.world_mut().spawn(camera).insert(eye).insert(Camera {
+            viewport,
+            order: i as isize,
+            clear_color,
+            ..default()
+        });
+    }
+    let both = draw(&mut app);
+    save_radiance("split_shadows", PICTURE, &both);
+    for (i, alone) in alone.iter().enumerate() {
+        let of_half = |y: u32| &both[(PICTURE.x * y + half.x * i as u32) as usize..][..half.x as usize];
+        let seen: Vec<[f32; 4]> = (0..half.y).flat_map(of_half).copied().collect();
+        // f16 pixels; the second camera's picture is blended over what was there.
+        let floor = |pixels: &[[f32; 4]]| pixels[(half.x * (half.y - 12)) as usize..].to_vec();
+        assert!(rms(&floor(&seen), &floor(alone)) < 1e-3, "camera {i}: {}", rms(&floor(&seen), &floor(alone)));
+    }
+    // The first alone sees the shadow.
+    let darkest = |pixels: &[[f32; 4]]| {
+        let floor = pixels[(half.x * half.y * 2 / 3) as usize..].iter().map(|pixel| pixel[0]);
+        floor.fold(f32::INFINITY, f32::min)
+    };
+    assert!(darkest(&alone[0]) < 0.8 * darkest(&alone[1]), "{} {}", darkest(&alone[0]), darkest(&alone[1]));
+}
+
+/// A scene without smoke has none of its passes, whatever its cameras ask for and whatever could shade.
+#[test]
+fn scenes_without_smoke_are_left_alone() {
+    let (mut app, camera) = stage();
+    let world = app.app.world_mut();
+    world.spawn(SmokeOccluder::new([(Vec3::Y, 0.5)]));
+    world.entity_mut(camera).insert(SmokeShadows::default());
+    for _ in 0..10 {
+        app.app.update();
+    }
+    let dispatches = app.app.world().resource::<SmokeRenderStats>().dispatches();
+    assert!(dispatches.iter().all(|count| *count == 0), "{dispatches:?}");
+    let diagnostics = app.app.world().resource::<DiagnosticsStore>();
+    let spans: Vec<_> = diagnostics.iter().filter(|span| span.path().as_str().contains("smoke")).collect();
+    assert!(spans.is_empty());
 }
 
 #[test]
