@@ -8,6 +8,7 @@
 use core::ops::Range;
 
 use bevy::asset::AssetEventSystems;
+use bevy::camera::{MainPassResolutionOverride, Viewport};
 use bevy::core_pipeline::core_3d::{Opaque3d, Opaque3dBatchSetKey, Opaque3dBinKey};
 use bevy::light::NotShadowReceiver;
 use bevy::material::RenderPhaseType;
@@ -42,12 +43,13 @@ use bevy::render::view::{
 use bevy::render::{Extract, ExtractSchedule, GpuResourceAppExt, Render, RenderApp, RenderDebugFlags, RenderSystems};
 use bevy::shader::Shader;
 
+use super::SmokeRenderStats;
 use super::extract::{ExtractedSmoke, extract_smoke};
 use super::mesh_shadows::ViewMeshShadows;
 use crate::shadows::NoSmokeShadow;
 
 /// Name of the pass and its GPU span.
-const LABEL: &str = "smoke_shadow_mask";
+pub const LABEL: &str = "smoke_shadow_mask";
 
 /// Finds the meshes that smoke does not shade, and draws them into masks.
 pub(super) struct ShadowMaskPlugin;
@@ -379,12 +381,19 @@ pub(super) fn prepare_shadow_masks(
 /// Draws the view's mask.
 pub(super) fn shadow_mask(
     world: &World,
-    view: ViewQuery<(&ExtractedView, &ExtractedCamera, &ViewDepthTexture, &ViewShadowMask)>,
+    view: ViewQuery<(
+        &ExtractedView,
+        &ExtractedCamera,
+        Option<&MainPassResolutionOverride>,
+        &ViewDepthTexture,
+        &ViewShadowMask,
+    )>,
     phases: Res<ViewBinnedRenderPhases<ShadowMask3d>>,
+    stats: Res<SmokeRenderStats>,
     mut ctx: RenderContext,
 ) {
     let view_entity = view.entity();
-    let (view, camera, depth, mask) = view.into_inner();
+    let (view, camera, resolution, depth, mask) = view.into_inner();
     let Some(phase) = phases.get(&view.retained_view_entity) else { return };
     let recorder = ctx.diagnostic_recorder();
     let recorder = recorder.as_deref();
@@ -407,11 +416,12 @@ pub(super) fn shadow_mask(
         multiview_mask: None,
     });
     let span = recorder.pass_span(&mut pass, LABEL);
-    if let Some(viewport) = &camera.viewport {
-        pass.set_camera_viewport(viewport);
+    if let Some(viewport) = Viewport::from_viewport_and_override(camera.viewport.as_ref(), resolution) {
+        pass.set_camera_viewport(&viewport);
     }
     if let Err(failure) = phase.render(&mut pass, world, view_entity) {
         error_once!("the mask of smoke's shadows was not drawn: {failure} (said once)");
     }
+    stats.shadow_mask.add(1);
     span.end(&mut pass);
 }
