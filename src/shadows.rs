@@ -20,9 +20,13 @@ impl Default for SmokeShadows {
     }
 }
 
-/// Put beside a mesh, keeps the shadows of [`SmokeShadows`] off it: for what shines by itself. Meshes with Bevy's own
-/// [`NotShadowReceiver`](bevy::light::NotShadowReceiver) are spared as well; a volume with
-/// [`NotShadowCaster`](bevy::light::NotShadowCaster) shades no mesh and no other smoke.
+/// Put beside a mesh, keeps the shadows of [`SmokeShadows`] off it: for what shines by itself.
+///
+/// Meshes with Bevy's own [`NotShadowReceiver`](bevy::light::NotShadowReceiver) are spared as well, and those whose
+/// [`StandardMaterial`] is `unlit`, as skies are; other materials that shine by themselves need this component. A view that
+/// sees such meshes draws them once more, into a mask of a byte a sample. Transparent meshes are never shaded.
+///
+/// A volume with [`NotShadowCaster`](bevy::light::NotShadowCaster) shades no mesh and no other smoke.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Reflect)]
 #[reflect(Component, Default, Debug, Clone, PartialEq)]
 pub struct NoSmokeShadow;

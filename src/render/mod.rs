@@ -12,10 +12,11 @@
 //! | `outgoing` | light at the probes, scattered light | quadratic fit of the radiance toward the eye, an RBF | the same, × view if g ≠ 0 |
 //! | `volume` | those, lamps, RBFs, bins, density | 3D texture of source radiance and density | the same |
 //! | `shadow_probes` | coarse density, sky | what smoke takes of the sky, at 24³ points around it | volume and sky |
-//! | `mesh_shadows` | those, coarse densities, spheres, depth, Bevy's lights and shadow maps | the view's meshes, shaded | view |
+//! | `shadow_mask` | the meshes that are not shaded, depth | where the view shows them | view that sees any |
+//! | `mesh_shadows` | both, coarse densities, spheres, depth, Bevy's lights and shadow maps | the view's meshes, shaded | view |
 //! | `view` | the 3D texture, the view's depth | the view's colours | view |
 //!
-//! All but the last two are compute passes in Bevy's `RenderGraph` schedule, before the cameras' own, and run only when
+//! All but the last three are compute passes in Bevy's `RenderGraph` schedule, before the cameras' own, and run only when
 //! something they read has changed: a static scene dispatches none of them. The view pass runs in `Core3d` after the opaque
 //! pass and before the transparent one; where transparent meshes are behind smoke or in it, it is drawn among them
 //! ([`slabs`]). Each is a GPU span of its own; games can order against [`SmokeSystems`].

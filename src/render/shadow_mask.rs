@@ -43,12 +43,13 @@ use bevy::render::view::{
 use bevy::render::{Extract, ExtractSchedule, GpuResourceAppExt, Render, RenderApp, RenderDebugFlags, RenderSystems};
 use bevy::shader::Shader;
 
+use super::SmokeRenderStats;
 use super::extract::{ExtractedSmoke, extract_smoke};
 use super::mesh_shadows::ViewMeshShadows;
 use crate::shadows::NoSmokeShadow;
 
 /// Name of the pass and its GPU span.
-const LABEL: &str = "smoke_shadow_mask";
+pub const LABEL: &str = "smoke_shadow_mask";
 
 /// Finds the meshes that smoke does not shade, and draws them into masks.
 pub(super) struct ShadowMaskPlugin;
@@ -388,6 +389,7 @@ pub(super) fn shadow_mask(
         &ViewShadowMask,
     )>,
     phases: Res<ViewBinnedRenderPhases<ShadowMask3d>>,
+    stats: Res<SmokeRenderStats>,
     mut ctx: RenderContext,
 ) {
     let view_entity = view.entity();
@@ -420,5 +422,6 @@ pub(super) fn shadow_mask(
     if let Err(failure) = phase.render(&mut pass, world, view_entity) {
         error_once!("the mask of smoke's shadows was not drawn: {failure} (said once)");
     }
+    stats.shadow_mask.add(1);
     span.end(&mut pass);
 }

@@ -9,7 +9,7 @@ use bevy::render::sync_world::MainEntity;
 use super::pass::DispatchCounter;
 use crate::scattering::ScatteringChoice;
 
-const PASS_COUNT: usize = 12 + cfg!(feature = "reference") as usize;
+const PASS_COUNT: usize = 13 + cfg!(feature = "reference") as usize;
 
 /// How many dispatches (and draws) each pass has made since the app started, in both worlds: the renderer counts, the
 /// main world reads. The scattering and the diffusion pass count their solves, each of which is many dispatches. GPU times
@@ -29,6 +29,7 @@ pub struct SmokeRenderStats {
     #[cfg(feature = "reference")]
     pub(crate) paper: DispatchCounter,
     pub(crate) shadow_probes: DispatchCounter,
+    pub(crate) shadow_mask: DispatchCounter,
     pub(crate) mesh_shadows: DispatchCounter,
     pub(crate) view: DispatchCounter,
     memory: Arc<Mutex<SmokeMemory>>,
@@ -62,6 +63,7 @@ impl SmokeRenderStats {
         #[cfg(feature = "reference")]
         super::paper::LABEL,
         super::shadow_probes::LABEL,
+        super::shadow_mask::LABEL,
         super::mesh_shadows::LABEL,
         super::view::LABEL,
     ];
@@ -110,6 +112,7 @@ impl SmokeRenderStats {
             #[cfg(feature = "reference")]
             &self.paper,
             &self.shadow_probes,
+            &self.shadow_mask,
             &self.mesh_shadows,
             &self.view,
         ]

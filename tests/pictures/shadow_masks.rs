@@ -8,6 +8,7 @@ use bevy::pbr::DefaultOpaqueRendererMethod;
 use bevy::prelude::*;
 use bevy_smoke::headless::Headless;
 use bevy_smoke::prelude::*;
+use bevy_smoke::render::SmokeRenderStats;
 
 use crate::scene::*;
 use crate::shadows::{PICTURE, plume, stage};
@@ -57,6 +58,12 @@ impl Scene {
     fn next(&mut self) -> Picture {
         self.app.app.update();
         self.app.float_pixels()
+    }
+
+    /// Masks drawn so far.
+    fn masks(&self) -> u32 {
+        let at = SmokeRenderStats::PASSES.iter().position(|pass| *pass == "smoke_shadow_mask").unwrap();
+        self.app.app.world().resource::<SmokeRenderStats>().dispatches()[at]
     }
 
     /// The picture that no longer changes: the light in the smoke takes some frames to its last bit.
@@ -128,7 +135,9 @@ fn spares_each(scene: &mut Scene, edges: usize) {
 
     scene.remove::<NoSmokeShadow>(scene.floor);
     scene.remove::<NoSmokeShadow>(scene.block);
+    let masks = scene.masks();
     assert_eq!(differing(&scene.next(), &shaded), 0, "something is left of what is gone");
+    assert!(masks > 0 && scene.masks() == masks, "a mask without a use");
 }
 
 #[test]
