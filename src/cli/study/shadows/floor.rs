@@ -103,10 +103,9 @@ impl Floor {
         let animation = world.resource_mut::<Assets<SmokeAnimation>>().add(smoke.animation.clone());
         let at = Transform::from_translation(smoke.center.as_vec3()).with_scale(Vec3::splat(side));
         world.spawn((SmokeVolume::new(animation), medium(scene), SmokeEnvironment::Camera, at));
-        // White, whatever the light: what is drawn is the share that the shadow leaves.
         let mesh = Plane3d::default().mesh().size(2.0 * SIDES as f32 * side, 2.0 * SIDES as f32 * side);
         let mesh = world.resource_mut::<Assets<Mesh>>().add(mesh);
-        let material = StandardMaterial { unlit: true, ..Color::WHITE.into() };
+        let material = StandardMaterial { perceptual_roughness: 1.0, reflectance: 0.0, ..Color::WHITE.into() };
         let material = world.resource_mut::<Assets<StandardMaterial>>().add(material);
         let floor = smoke.center + DVec3::Y * self.y * smoke.side;
         world.spawn((Mesh3d(mesh), MeshMaterial3d(material), Transform::from_translation(floor.as_vec3())));
@@ -123,7 +122,7 @@ impl Floor {
             far: 2.0 * above,
             ..OrthographicProjection::default_3d()
         };
-        world.spawn((shows, map, Projection::Orthographic(projection), eye));
+        let camera = world.spawn((shows, map, Projection::Orthographic(projection), eye)).id();
 
         let pass = SmokeRenderStats::PASSES.iter().position(|name| *name == "smoke_mesh_shadows");
         let pass = pass.expect("it is one of the passes");
@@ -137,8 +136,13 @@ impl Floor {
             std::thread::sleep(std::time::Duration::from_millis(10));
         }
         ensure!(drawn(&headless), "no shadow was drawn");
-        (0..MESH_FRAMES).for_each(|_| headless.app.update());
-        Ok(headless.float_pixels().into_iter().map(|[r, g, b, _]| Vec3::new(r, g, b)).collect())
+        let mut picture = |smoke| {
+            headless.app.world_mut().entity_mut(camera).insert(SmokeShadows { smoke, ..default() });
+            (0..MESH_FRAMES).for_each(|_| headless.app.update());
+            headless.float_pixels().into_iter().map(|[r, g, b, _]| Vec3::new(r, g, b))
+        };
+        let (shaded, clear) = (picture(true), picture(false));
+        Ok(shaded.zip(clear).map(|(shaded, clear)| shaded / clear).collect())
     }
 }
 
