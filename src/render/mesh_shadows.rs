@@ -2,6 +2,7 @@
 //! own. No material takes part: surfaces are found by the view's depth, lights and shadow maps in what Bevy binds for its
 //! own deferred lighting, and what is drawn so far is multiplied by the share of light that is left.
 
+use bevy::camera::{MainPassResolutionOverride, Viewport};
 use bevy::core_pipeline::tonemapping::Tonemapping;
 use bevy::pbr::{
     MeshPipeline, MeshPipelineKey, MeshViewBindGroup, TONEMAPPING_LUT_SAMPLER_BINDING_INDEX,
@@ -271,6 +272,7 @@ pub(super) fn mesh_shadows(
         &ViewTarget,
         &ViewDepthTexture,
         &ExtractedCamera,
+        Option<&MainPassResolutionOverride>,
         &MeshViewBindGroup,
         &ViewMeshShadows,
         &ViewMeshShadowPipeline,
@@ -280,7 +282,7 @@ pub(super) fn mesh_shadows(
     stats: Res<SmokeRenderStats>,
     mut ctx: RenderContext,
 ) {
-    let (target, depth, camera, mesh_view, shadows, pipeline, mask) = view.into_inner();
+    let (target, depth, camera, resolution, mesh_view, shadows, pipeline, mask) = view.into_inner();
     // Pipelines compile while the app runs.
     let Some(render_pipeline) = cache.get_render_pipeline(pipeline.id) else { return };
     let mut resources = vec![
@@ -310,8 +312,8 @@ pub(super) fn mesh_shadows(
         multiview_mask: None,
     });
     let span = recorder.pass_span(&mut pass, LABEL);
-    if let Some(viewport) = &camera.viewport {
-        pass.set_camera_viewport(viewport);
+    if let Some(viewport) = Viewport::from_viewport_and_override(camera.viewport.as_ref(), resolution) {
+        pass.set_camera_viewport(&viewport);
     }
     pass.set_render_pipeline(render_pipeline);
     pass.set_bind_group(0, &mesh_view.main, &mesh_view.main_offsets);

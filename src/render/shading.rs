@@ -102,19 +102,20 @@ impl Shading {
 
 /// The volumes that cast shadows in a frame: those that do, where any view sees shadows.
 pub(super) fn casting<'a>(smoke: &ExtractedSmoke, views: impl Iterator<Item = &'a ExtractedView>) -> Vec<MainEntity> {
-    let shaded = |view: &&ExtractedView| {
-        smoke.camera_shadows.get(&view.retained_view_entity.main_entity).is_some_and(|camera| camera.shadows.smoke)
+    let eye = |view: &ExtractedView| {
+        let camera = smoke.camera_shadows.get(&view.retained_view_entity.main_entity)?;
+        camera.shadows.smoke.then_some((view.world_from_view.translation(), &camera.layers))
     };
-    let eyes: Vec<Vec3> = views.filter(shaded).map(|view| view.world_from_view.translation()).collect();
-    if eyes.is_empty() {
-        return Vec::new();
-    }
+    let eyes: Vec<_> = views.filter_map(eye).collect();
+    // From the nearest eye that sees its shadow.
     let distance = |volume: &ExtractedVolume| {
         let center = Vec3::from(volume.world_from_bundle.translation);
-        eyes.iter().map(|eye| eye.distance(center)).fold(f32::INFINITY, f32::min)
+        let seeing = eyes.iter().filter(|(_, layers)| layers.intersects(&volume.layers));
+        seeing.map(|(eye, _)| eye.distance(center)).min_by(f32::total_cmp)
     };
     let casts = |(_, volume): &(_, &ExtractedVolume)| volume.casts && volume.medium.sigma_t > 0.0;
-    let mut casting: Vec<_> = smoke.volumes.iter().filter(casts).map(|(e, volume)| (distance(volume), *e)).collect();
+    let mut casting: Vec<_> =
+        smoke.volumes.iter().filter(casts).filter_map(|(e, volume)| Some((distance(volume)?, *e))).collect();
     // Nearest first; equal distances keep the order of their entities.
     casting.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     if casting.len() > MAX_CASTERS {

@@ -3,6 +3,11 @@
 //! exp*(f) is the projection of exp f(ω) to the order of f (Ren et al. 2006; Zhou et al. 2008, appendix). Every way
 //! splits off the mean exactly: with f̂ = f without its first coefficient, exp*(f) = exp(f_0/√4π) exp*(f̂).
 //!
+//! The product itself uses none of them for smoke: four bands are off by a third of the shadow that smoke throws on a surface outside
+//! it, and sums over directions cost no more (docs/measurements/2026-11-25-shadows.md). They serve the method as printed, and
+//! the choice between them is its user's: HYB is the more accurate, optimal linear the cheaper. For spheres on meshes, where
+//! logarithms of visibility add up, the sum is exponentiated direction by direction: [`log_visibility`](super::log_visibility).
+//!
 //! An order n, 1 to [`BANDS`], keeps n² coefficients; those beyond are taken for zero, and are zero in the result.
 
 use core::f64::consts::PI;

@@ -68,9 +68,10 @@ fn eigen(mut a: [[f64; BANDS]; BANDS]) -> ([f64; BANDS], [[f64; BANDS]; BANDS]) 
                 for row in &mut a {
                     (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
                 }
-                for k in 0..BANDS {
-                    (a[p][k], a[q][k]) = (c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]);
-                }
+                (a[p], a[q]) = (
+                    core::array::from_fn(|k| c * a[p][k] - s * a[q][k]),
+                    core::array::from_fn(|k| s * a[p][k] + c * a[q][k]),
+                );
                 for row in &mut vectors {
                     (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
                 }

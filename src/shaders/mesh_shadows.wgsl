@@ -106,7 +106,7 @@ fn is_masked(pixel: vec2<i32>, sample: u32) -> bool {
 #endif
 
 fn world_position(pixel: vec2<f32>, depth: f32) -> vec3<f32> {
-    let uv = (pixel - view_bindings::view.viewport.xy) / view_bindings::view.viewport.zw;
+    let uv = (pixel - view_bindings::view.main_pass_viewport.xy) / view_bindings::view.main_pass_viewport.zw;
     let world = view_bindings::view.world_from_clip * vec4(uv * vec2(2.0, -2.0) + vec2(-1.0, 1.0), depth, 1.0);
     return world.xyz / world.w;
 }

@@ -146,8 +146,9 @@ fn hidden_smoke_is_not_drawn() {
     let aside = draws(&|volume| {
         volume.insert(Transform::from_xyz(40.0, 0.0, 0.0));
     });
-    // Bounds are known one frame after the asset: until then the volume counts as seen, and is lit once.
-    assert!(aside == [0; 9] || aside == [0, 1, 1, 1, 1, 1, 1, 1, 0], "{aside:?}");
+    // Its shadow may be in view, so its density is known. Bounds are known one frame after the asset: until then the volume
+    // counts as seen, and is lit once.
+    assert!(aside == [0, 1, 1, 0, 0, 0, 0, 0, 0] || aside == [0, 1, 1, 1, 1, 1, 1, 1, 0], "{aside:?}");
     let behind = draws(&|volume| {
         volume.insert(Transform::from_xyz(0.0, 0.0, 40.0));
     });

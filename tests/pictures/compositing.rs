@@ -1,5 +1,6 @@
 //! Smoke over backgrounds, between meshes, and over other smoke.
 
+use bevy::light::NotShadowCaster;
 use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
 use bevy_smoke::headless::Headless;
@@ -113,7 +114,9 @@ fn overlapping_volumes_are_composited_far_to_near() {
         let mut app = app();
         for &(transform, albedo) in volumes {
             let (volume, medium, environment, _) = smoke(&mut app);
-            app.app.world_mut().spawn((volume, SmokeMedium { albedo, ..medium }, environment, transform));
+            // Each is lit as if it were alone.
+            let volume = (volume, SmokeMedium { albedo, ..medium }, environment, transform, NotShadowCaster);
+            app.app.world_mut().spawn(volume);
         }
         let camera = camera(&app);
         app.app.world_mut().spawn(camera);

@@ -1,4 +1,4 @@
-use bevy::math::{Mat3, Mat4, Quat};
+use bevy::math::{Mat3, Quat};
 
 use super::*;
 use crate::reference::shadow_probes::{SHADOW_DIRECTIONS, SHADOW_STEPS, position, probe};
@@ -35,7 +35,7 @@ fn shadow_probes_match_their_twin() {
         caster: &uniform(gpu.device(), gpu.queue(), "test", caster_uniform(&other, 1)),
         sky: &uniform(gpu.device(), gpu.queue(), "test", sky),
         environment: &uniform(gpu.device(), gpu.queue(), "test", environment.0.map(|c| c.as_vec3().extend(0.0))),
-        world_from_bundle: &uniform(gpu.device(), gpu.queue(), "test", Mat4::from(DMat4::from(world).as_mat4())),
+        world_from_bundle: &uniform(gpu.device(), gpu.queue(), "test", DMat4::from(world).as_mat4()),
         densities: &caster_densities(&gpu, &[other.clone(), other.clone()]),
         sampler: &linear_sampler(gpu.device()),
         probes: &output,
