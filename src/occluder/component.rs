@@ -90,10 +90,15 @@ pub(crate) struct SmokeOccluderPlugin;
 
 impl Plugin for SmokeOccluderPlugin {
     fn build(&self, app: &mut App) {
-        app.register_type::<SmokeOccluder>()
-            .register_type::<SmokeOccluderFit>()
-            .init_resource::<Fits>()
-            .add_systems(PostUpdate, (mark_changed, begin, finish).chain().after(AssetEventSystems));
+        app.register_type::<SmokeOccluder>().register_type::<SmokeOccluderFit>().init_resource::<Fits>().add_systems(
+            PostUpdate,
+            (mark_changed, begin, finish)
+                .chain()
+                .after(AssetEventSystems)
+                // Tools bake in apps that have no meshes.
+                .run_if(resource_exists::<Assets<Mesh>>)
+                .run_if(resource_exists::<Assets<SkinnedMeshInverseBindposes>>),
+        );
     }
 }
 

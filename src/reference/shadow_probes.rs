@@ -106,8 +106,8 @@ mod tests {
         let missing = found.missing_irradiance(DVec3::NEG_Y);
         // The trilinear cube is half a cell larger on each side: 3 % of its area.
         assert!((missing / sky(DVec3::ZERO) / (PI * form_factor) - 1.0).abs().max_element() < 0.05, "{missing}");
-        // A surface that looks away misses nothing to speak of.
-        assert!(found.missing_irradiance(DVec3::Y).max_element() < 0.02 * missing.x);
+        // A surface that looks away misses what the smooth step leaves: 3 % here, where much is seen at a slant.
+        assert!(found.missing_irradiance(DVec3::Y).x < 0.04 * missing.x);
     }
 
     #[test]
@@ -139,7 +139,7 @@ mod tests {
             for (found, exact) in found.0.iter().zip(exact) {
                 // The trilinear box is half a cell larger on each side than the one in the cone, up to 6 % of its sides, of
                 // which the cone leaves out the corners.
-                assert!((*found - exact).length() < 0.03 * exact.x, "{point}: {found} for {exact}");
+                assert!((*found - exact).length() < 0.05 * exact.x, "{point}: {found} for {exact}");
             }
         }
     }

@@ -125,7 +125,7 @@ mod tests {
     /// What `view.wgsl` takes of Bevy: the same names and types, no more.
     const BEVY_VIEW: &str = "#define_import_path bevy_render::view
         struct ColorGrading { exposure: f32 }
-        struct View { viewport: vec4<f32>, color_grading: ColorGrading }";
+        struct View { viewport: vec4<f32>, main_pass_viewport: vec4<f32>, color_grading: ColorGrading }";
     const BEVY_TONEMAPPING: &str = "#define_import_path bevy_core_pipeline::tonemapping
         #import bevy_render::view::ColorGrading
         fn tone_mapping(color: vec4<f32>, grading: ColorGrading) -> vec4<f32> { return color * grading.exposure; }";
