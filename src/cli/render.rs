@@ -429,7 +429,7 @@ pub(super) fn spawn_scene(
         spawn_surfaces(world, scene, side as f32, kind.shows_surfaces());
         if kind.shows_surfaces() {
             let map = environment_map(world, scene, unit)?;
-            world.entity_mut(camera).insert((map, SmokeShadows { smoke: true, occluders: true }));
+            world.entity_mut(camera).insert(map);
             cast_shadows(world);
         }
     }
