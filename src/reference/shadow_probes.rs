@@ -131,15 +131,14 @@ mod tests {
             let found = probe(point, &grid, half, 1.0, sky, 4096, 64);
             let mut exact = [DVec4::ZERO; 3];
             for w in fibonacci(1 << 18) {
-                if march(&Ray::new(point, w), &grid, 64) > 0.0 {
-                    let d = sky(w) * (4.0 * PI / f64::from(1 << 18));
-                    exact.iter_mut().enumerate().for_each(|(c, e)| *e += d[c] * DVec4::new(1.0, w.x, w.y, w.z));
-                }
+                let stopped = 1.0 - transmittance(march(&Ray::new(point, w), &grid, 64));
+                let d = sky(w) * (stopped * 4.0 * PI / f64::from(1 << 18));
+                exact.iter_mut().enumerate().for_each(|(c, e)| *e += d[c] * DVec4::new(1.0, w.x, w.y, w.z));
             }
             for (found, exact) in found.0.iter().zip(exact) {
-                // The trilinear box is half a cell larger on each side than the one in the cone, up to 6 % of its sides, of
-                // which the cone leaves out the corners.
-                assert!((*found - exact).length() < 0.05 * exact.x, "{point}: {found} for {exact}");
+                // The trilinear box is half a cell larger on each side than the one in the cone, which leaves out its corners
+                // where it is seen from near by; 4096 directions are off by 0.3 %.
+                assert!((*found - exact).length() < 0.01 * exact.x, "{point}: {found} for {exact}");
             }
         }
     }
