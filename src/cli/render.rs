@@ -429,7 +429,8 @@ pub(super) fn spawn_scene(
         spawn_surfaces(world, scene, side as f32, kind.shows_surfaces());
         if kind.shows_surfaces() {
             let map = environment_map(world, scene, unit)?;
-            world.entity_mut(camera).insert(map);
+            // Spheres shade the plane and each other, as in the reference.
+            world.entity_mut(camera).insert((map, SmokeShadows { occluders: true, ..default() }));
             cast_shadows(world);
         }
     }

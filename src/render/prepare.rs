@@ -253,7 +253,9 @@ pub(super) fn prepare_smoke(
             components.insert(ViewSmoke(drawn));
         }
 
-        let shading = Shaders::of_view(view, &smoke, casters).and_then(|shaders| {
+        // What a pass is given before it is ready is never done.
+        let shaders = Shaders::of_view(view, &smoke, casters).filter(|_| ready);
+        let shading = shaders.and_then(|shaders| {
             let light = Light::of_view(view, &smoke)?;
             let lit = environments.light(light, &images, &smoke.suns, &gpu, &mut work)?;
             Some(shading.shade(view, shaders, &lit, &smoke, casters, *now, &gpu, &mut work))

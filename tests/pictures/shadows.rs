@@ -3,6 +3,7 @@
 use bevy::camera::Viewport;
 use bevy::core_pipeline::prepass::{DeferredPrepass, DepthPrepass};
 use bevy::diagnostic::DiagnosticsStore;
+use bevy::light::EnvironmentMapLight;
 use bevy::pbr::DefaultOpaqueRendererMethod;
 use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
@@ -59,6 +60,9 @@ fn pixel(point: Vec3) -> usize {
     let at = (PICTURE.as_vec2() / 2.0 + Vec2::new(p.x, -p.y) * scale).as_uvec2();
     (at.x + PICTURE.x * at.y) as usize
 }
+
+/// The sky's share of the floor's light: π/2 lux, the sun's being 2 cos θ.
+const SKY: f32 = 1.571 / (1.571 + 1.383);
 
 /// In the shadow that the sun throws from the middle of the smoke.
 const SHADOW: Vec3 = Vec3::new(1.6, 0.0, 0.5);
@@ -226,9 +230,36 @@ fn spheres_shade_smoke_and_meshes_where_they_are_asked_to() {
     let beneath = pixel(Vec3::new(-1.6, 0.0, -0.5));
     assert_eq!(picture(true, false, false)[beneath], picture(false, false, false)[beneath]);
     let (on_meshes, clear) = (picture(true, true, false), clear());
-    let sky = 0.5 / 1.4375;
-    let expected = 1.0 - sky * 0.49 / 3.2_f32.powi(2);
+    let expected = 1.0 - SKY * 0.49 / 3.2_f32.powi(2);
     let found = on_meshes[beneath][0] / clear[beneath][0];
-    assert!((found - expected).abs() < 0.01, "{found} for {expected}");
+    // Four bands hold a small ball's shadow to 5 %, which is 0.1 % of the light.
+    assert!((found - expected).abs() < 4e-3, "{found} for {expected}");
     save_radiance("sphere_on_floor", PICTURE, &on_meshes);
+}
+
+/// An environment map is known to the shadows of spheres from the first frame on, before there is smoke.
+#[test]
+fn spheres_take_their_share_of_an_environment_map() {
+    let picture = |occluder: bool| {
+        let (mut app, camera) = stage();
+        let world = app.app.world_mut();
+        world.insert_resource(GlobalAmbientLight::NONE);
+        let mut images = world.resource_mut::<Assets<Image>>();
+        let map = EnvironmentMapLight { intensity: 0.5, ..EnvironmentMapLight::solid_color(&mut images, Color::WHITE) };
+        world.entity_mut(camera).insert((map, SmokeShadows { occluders: true, ..default() }));
+        if occluder {
+            world.spawn((SmokeOccluder::new([(Vec3::ZERO, 0.7)]), Transform::from_xyz(-1.6, 3.2, -0.5)));
+        }
+        for _ in 0..20 {
+            app.app.update();
+        }
+        app.float_pixels()
+    };
+    let (shaded, clear) = (picture(true), picture(false));
+    let beneath = pixel(Vec3::new(-1.6, 0.0, -0.5));
+    let expected = 1.0 - SKY * 0.49 / 3.2_f32.powi(2);
+    let found = shaded[beneath][0] / clear[beneath][0];
+    assert!((found - expected).abs() < 4e-3, "{found} for {expected}");
+    let away = pixel(Vec3::new(2.5, 0.0, 1.0));
+    assert!(shaded[away][0] > 0.98 * clear[away][0], "{} of {}", shaded[away][0], clear[away][0]);
 }
