@@ -27,7 +27,7 @@ usage: terrain [OPTIONS]          in a window, a day a minute
   --hour H       the time of day, from 0 to 24 (17.4; in a window time goes on from there)
   --frames N     N frames: with --png a day in numbered files, FILE_0001.png and so on
   --still        time stands still in all frames: nothing is lit anew
-  --no-shadows   smoke, terrain and sun do not shade each other
+  --no-coupling  smoke and terrain do not shade each other
   --size WxH     960x540 by default
   --stats        after the last frame, print what passes took";
 
@@ -46,7 +46,7 @@ pub struct Options {
     pub hour: f32,
     pub frames: Option<u32>,
     pub still: bool,
-    pub shadows: bool,
+    pub coupled: bool,
     pub size: UVec2,
     pub stats: bool,
 }
@@ -54,7 +54,7 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         let size = UVec2::new(960, 540);
-        Self { png: None, hour: 17.4, frames: None, still: false, shadows: true, size, stats: false }
+        Self { png: None, hour: 17.4, frames: None, still: false, coupled: true, size, stats: false }
     }
 }
 
@@ -92,7 +92,7 @@ fn options(mut arguments: impl Iterator<Item = String>) -> Result<Option<Options
             "--hour" => options.hour = value()?.parse().map_err(|error| format!("--hour: {error}"))?,
             "--frames" => options.frames = Some(value()?.parse().map_err(|error| format!("--frames: {error}"))?),
             "--still" => options.still = true,
-            "--no-shadows" => options.shadows = false,
+            "--no-coupling" => options.coupled = false,
             "--size" => {
                 let size = value()?;
                 let sides = size.split_once('x').and_then(|(w, h)| Some(UVec2::new(w.parse().ok()?, h.parse().ok()?)));
@@ -213,14 +213,14 @@ pub fn setup(
 ) -> impl FnMut(Commands, Res<AssetServer>, ResMut<Assets<Image>>, ResMut<Assets<Mesh>>, ResMut<Assets<StandardMaterial>>)
 {
     move |mut commands, assets, mut images, mut meshes, mut materials| {
-        let shadows = options.shadows;
+        let coupled = options.coupled;
         commands.insert_resource(Hour(options.hour));
         // The sky is all the ambient light there is.
         commands.insert_resource(GlobalAmbientLight { brightness: 0.0, ..default() });
 
         let ground = StandardMaterial { perceptual_roughness: 1.0, reflectance: 0.1, ..default() };
         let mut mountains = commands.spawn((Mesh3d(meshes.add(terrain())), MeshMaterial3d(materials.add(ground))));
-        if shadows {
+        if coupled {
             // Spheres under the ground, which keep light from below off the smoke.
             mountains.insert(SmokeOccluderFit::ground(64));
         }
@@ -235,7 +235,7 @@ pub fn setup(
             Transform::from_xyz(base.x, height(base) + 0.42 * size, base.y).with_scale(Vec3::splat(size)),
         ));
 
-        let sun = DirectionalLight { shadow_maps_enabled: shadows, ..default() };
+        let sun = DirectionalLight { shadow_maps_enabled: true, ..default() };
         let cascades = CascadeShadowConfigBuilder {
             num_cascades: 3,
             maximum_distance: 90.0,
@@ -249,7 +249,7 @@ pub fn setup(
         commands.spawn((
             Camera3d::default(),
             Exposure::INDOOR,
-            SmokeShadows { smoke: shadows, occluders: shadows },
+            SmokeShadows { smoke: coupled, occluders: coupled },
             Skybox { image: Some(radiance.clone()), brightness: LUMINANCE, ..default() },
             EnvironmentMapLight {
                 diffuse_map: irradiance.clone(),

@@ -19,7 +19,7 @@
 //! All but the last three are compute passes in Bevy's `RenderGraph` schedule, before the cameras' own, and run only when
 //! something they read has changed: a static scene dispatches none of them. The view pass runs in `Core3d` after the opaque
 //! pass and before the transparent one; where transparent meshes are behind smoke or in it, it is drawn among them
-//! ([`slabs`]). Each is a GPU span of its own; games can order against [`SmokeSystems`].
+//! (`slabs.rs`). Each is a GPU span of its own; games can order against [`SmokeSystems`].
 //!
 //! A moment is a blend of two baked frames. On the GPU there are those moments that volumes show, each in buffers and textures
 //! of its own that are rewritten as time goes on, and the residuals of the baked frames that they blend: memory does not

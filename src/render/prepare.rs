@@ -34,7 +34,7 @@ use super::moments::Moments;
 #[cfg(feature = "reference")]
 use super::paper;
 use super::placed::{Placed, warn_of_limits};
-use super::shading::{Shaders, Shading, casting};
+use super::shading::{ShadedBy, Shading, casting};
 use super::surroundings::{Around, Surroundings};
 use super::view::{Emission, Glow, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokePasses, SmokeRenderStats, SmokeWork};
@@ -254,11 +254,11 @@ pub(super) fn prepare_smoke(
         }
 
         // What a pass is given before it is ready is never done.
-        let shaders = Shaders::of_view(view, &smoke, casters).filter(|_| ready);
-        let shading = shaders.and_then(|shaders| {
+        let shaded_by = ShadedBy::of_view(view, &smoke, casters).filter(|_| ready);
+        let shading = shaded_by.and_then(|shaded_by| {
             let light = Light::of_view(view, &smoke)?;
             let lit = environments.light(light, &images, &smoke.suns, &gpu, &mut work)?;
-            Some(shading.shade(view, shaders, &lit, &smoke, casters, *now, &gpu, &mut work))
+            Some(shading.shade(view, shaded_by, &lit, &smoke, casters, *now, &gpu, &mut work))
         });
         match shading {
             Some(shadows) => components.insert(shadows),

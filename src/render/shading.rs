@@ -34,12 +34,12 @@ struct SeenShading {
 }
 
 /// What shades a view's meshes in a frame; something does.
-pub(super) struct Shaders {
+pub(super) struct ShadedBy {
     casters: Vec<CasterUniform>,
     spheres: usize,
 }
 
-impl Shaders {
+impl ShadedBy {
     /// None where nothing does.
     pub fn of_view(view: &ExtractedView, smoke: &ExtractedSmoke, casters: &Casters) -> Option<Self> {
         let camera = smoke.camera_shadows.get(&view.retained_view_entity.main_entity)?;
@@ -56,7 +56,7 @@ impl Shading {
     pub fn shade(
         &mut self,
         view: &ExtractedView,
-        shaders: Shaders,
+        by: ShadedBy,
         lit: &Lit,
         smoke: &ExtractedSmoke,
         casters: &Casters,
@@ -64,10 +64,10 @@ impl Shading {
         gpu: &Gpu,
         work: &mut SmokeWork,
     ) -> ViewMeshShadows {
-        let spheres = shaders.spheres;
+        let spheres = by.spheres;
         let probed = self.probes.update(lit, casters, now, gpu, work);
         let suns = smoke.lamps.iter().filter(|lamp| lamp.is_sun()).count();
-        let uniform = MeshShadowUniform::new(probed.sky, shaders.casters, suns, spheres);
+        let uniform = MeshShadowUniform::new(probed.sky, by.casters, suns, spheres);
         let seen = self
             .seen
             .entry(view.retained_view_entity)

@@ -117,15 +117,3 @@ fn sky_radiance(sky: Sky, environment: array<vec4<f32>, 16>, towards: vec3<f32>)
     }
     return radiance * sky.scale + sky.ambient;
 }
-
-// Irradiance of the sky, sun included, on a surface: bands count for pi, 2 pi / 3 and pi / 4 (Ramamoorthi and Hanrahan
-// 2001).
-fn sky_irradiance(sky: Sky, environment: array<vec4<f32>, 16>, normal: vec3<f32>) -> vec3<f32> {
-    let y = basis(sky.environment_from_world * normal);
-    var irradiance = vec3(0.0);
-    for (var k = 0u; k < 9u; k++) {
-        let share = select(select(0.25 * PI, 2.0 / 3.0 * PI, k < 4u), PI, k < 1u);
-        irradiance += y[k] * share * environment[k].rgb;
-    }
-    return max(irradiance * sky.scale + PI * sky.ambient, vec3(0.0));
-}

@@ -6,10 +6,8 @@
 #import bevy_pbr::mesh_view_bindings as view_bindings
 #import bevy_pbr::mesh_view_types::{DIRECTIONAL_LIGHT_FLAGS_SHADOWS_ENABLED_BIT, POINT_LIGHT_FLAGS_SHADOWS_ENABLED_BIT, POINT_LIGHT_FLAGS_SPOT_LIGHT_Y_NEGATIVE}
 #import bevy_pbr::shadows::{fetch_directional_shadow, fetch_point_shadow, fetch_spot_shadow}
-#import bevy_smoke::casters::{Caster, Sky, crossing, missing_irradiance, optical_depth, shadow_probe_texel, sky_irradiance, MAX_CASTERS, PI, PROBES, PROBE_TEXELS}
-#ifdef OCCLUDERS
+#import bevy_smoke::casters::{Caster, Sky, crossing, missing_irradiance, optical_depth, shadow_probe_texel, MAX_CASTERS, PI, PROBES, PROBE_TEXELS}
 #import bevy_smoke::sh::{basis, band}
-#endif
 #ifdef TONEMAP_IN_SHADER
 #import bevy_core_pipeline::tonemapping::tone_mapping
 #endif
@@ -57,7 +55,7 @@ struct Occlusion {
 const GREY: f32 = 0.18 / PI;
 
 // A smaller share of light that is missing is not seen: a quarter of a step of 8 bits at most.
-const FAINT: f32 = 5e-4;
+const FAINT: f32 = 2e-3;
 
 // Steps through a caster's coarse grid toward a light.
 const STEPS: u32 = 24u;
@@ -133,6 +131,22 @@ fn surface_normal(point: vec3<f32>, pixel: vec2<f32>, sample: u32) -> vec3<f32> 
 #endif
     let normal = cross(slope(point, pixel, vec2(0.0, 1.0), sample), slope(point, pixel, vec2(1.0, 0.0), sample));
     return normal / max(length(normal), 1e-30);
+}
+
+// Irradiance of the sky, sun included, on a surface: bands count for pi, 2 pi / 3 and pi / 4 (Ramamoorthi and Hanrahan
+// 2001).
+fn sky_irradiance(normal: vec3<f32>) -> vec3<f32> {
+    let y = basis(scene.sky.environment_from_world * normal);
+    var linear_bands = vec3(0.0);
+    for (var k = 1u; k < 4u; k++) {
+        linear_bands += y[k] * environment[k].rgb;
+    }
+    var quadratic_bands = vec3(0.0);
+    for (var k = 4u; k < 9u; k++) {
+        quadratic_bands += y[k] * environment[k].rgb;
+    }
+    let irradiance = PI * (y[0] * environment[0].rgb + 2.0 / 3.0 * linear_bands + 0.25 * quadratic_bands);
+    return max(irradiance * scene.sky.scale + PI * scene.sky.ambient, vec3(0.0));
 }
 
 // What a caster takes of the sky's irradiance.
@@ -317,32 +331,35 @@ fn fragment(in: Vertex) -> Fragment {
     let lamps = clustering::unpack_clusterable_object_index_ranges(cluster);
 
     // Most surfaces are out of the smoke's reach, or so far that nobody would tell: they are left as they are.
-    var sky = sky_irradiance(scene.sky, environment, normal);
-    let clear_sky = sky;
+    let clear_sky = sky_irradiance(normal);
+    var sky = clear_sky;
+    let sun = transpose(scene.sky.environment_from_world) * scene.sky.sun_direction;
+    let sun_irradiance = scene.sky.sun_irradiance * (scene.sky.scale * max(dot(sun, normal), 0.0));
+    let has_sun = any(sun_irradiance > vec3(0.0));
+    var sun_depth = 0.0;
+    var sun_depths: array<f32, 10>;
     for (var i = 0u; i < in.caster_count; i++) {
-        let missing = sky_missing(scene.casters[i], point, normal);
+        let caster = scene.casters[i];
+        let missing = sky_missing(caster, point, normal);
         // Behind one another, casters take of what is left.
         sky *= 1.0 - min(missing / max(clear_sky, vec3(1e-30)), vec3(1.0));
+        if has_sun {
+            sun_depth += optical_depth(caster, densities, linear, crossing(caster, point, sun, 1e30), STEPS);
+        }
+        for (var j = 0u; j < in.sun_count; j++) {
+            let towards = view_bindings::lights.directional_lights[j].direction_to_light;
+            if dot(towards, normal) > 0.0 {
+                sun_depths[j] += optical_depth(caster, densities, linear, crossing(caster, point, towards, 1e30), STEPS);
+            }
+        }
     }
 #ifdef OCCLUDERS
     sky *= unoccluded(point, normal, in.sphere_count);
 #endif
+    sky = max(sky - sun_irradiance * (1.0 - exp(-sun_depth)), vec3(0.0));
     var shaded = any(clear_sky - sky > FAINT * clear_sky);
-    let sun = transpose(scene.sky.environment_from_world) * scene.sky.sun_direction;
-    let sun_irradiance = scene.sky.sun_irradiance * (scene.sky.scale * max(dot(sun, normal), 0.0));
-    if any(sun_irradiance > vec3(0.0)) {
-        let kept = transmittance(point, sun, 1e30, in.caster_count);
-        shaded = shaded || kept < 1.0 - FAINT;
-        sky = max(sky - sun_irradiance * (1.0 - kept), vec3(0.0));
-    }
-    var kept_of_suns: array<f32, 10>;
-    for (var i = 0u; i < in.sun_count; i++) {
-        let towards = view_bindings::lights.directional_lights[i].direction_to_light;
-        kept_of_suns[i] = 1.0;
-        if dot(towards, normal) > 0.0 {
-            kept_of_suns[i] = transmittance(point, towards, 1e30, in.caster_count);
-        }
-        shaded = shaded || kept_of_suns[i] < 1.0 - FAINT;
+    for (var j = 0u; j < in.sun_count; j++) {
+        shaded = shaded || sun_depths[j] > FAINT;
     }
     for (var i = lamps.first_point_light_index_offset; i < lamps.first_reflection_probe_index_offset; i++) {
         let lamp = clustering::get_clusterable_object_id(i);
@@ -367,7 +384,7 @@ fn fragment(in: Vertex) -> Fragment {
             irradiance *= fetch_directional_shadow(i, vec4(point, 1.0), normal, view_z, pixel);
         }
         clear += irradiance;
-        lit += irradiance * kept_of_suns[i];
+        lit += irradiance * exp(-sun_depths[i]);
     }
     for (var i = lamps.first_point_light_index_offset; i < lamps.first_reflection_probe_index_offset; i++) {
         let lamp = clustering::get_clusterable_object_id(i);

@@ -138,7 +138,7 @@ fn playback_shows_smoke() {
 
 #[test]
 fn terrain_shows_smoke_over_mountains() {
-    let options = terrain::Options { shadows: false, ..default() };
+    let options = terrain::Options { coupled: false, ..default() };
     let size = UVec2::new(320, 180);
     let setup = (terrain::setup(options), terrain::light_day).chain();
     let pictures = pictures("terrain", size, setup);
