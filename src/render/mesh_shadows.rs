@@ -36,7 +36,7 @@ use crate::sh::{SphereRule, VISIBILITY_ENTRIES, log_visibilities};
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_mesh_shadows";
 
-/// Bevy's own limit of directional lights a view.
+/// Bevy's own limit of directional lights a view; as in `mesh_shadows.wgsl`.
 const MAX_SUNS: usize = 10;
 
 /// The `MeshShadows` of `mesh_shadows.wgsl`.

@@ -119,12 +119,18 @@ pub(super) fn prepare_smoke(
     (passes, view_pass, stats): (Res<SmokePasses>, Res<ViewPass>, Res<SmokeRenderStats>),
 ) {
     work.clear();
-    let ready = passes.are_ready(&pipelines);
     let SmokeCache { frame: now, environments, moments, volumes, casters, shading, surroundings, shared } =
         &mut *smoke_cache;
     *now = now.wrapping_add(1);
     environments.begin(*now, changed_images.added.iter().chain(&changed_images.modified));
     moments.begin(*now, &smoke);
+    if !passes.are_ready(&pipelines) {
+        // What a pass is given before it is ready is never done.
+        for (view, ..) in &views {
+            commands.entity(view).remove::<(ViewSmoke, ViewMeshShadows)>();
+        }
+        return;
+    }
     let shared = shared.get_or_insert_with(|| Shared {
         sampler: linear_sampler(&device),
         footprints: Footprints::buffer(&device, &queue),
@@ -145,7 +151,7 @@ pub(super) fn prepare_smoke(
         paper_tables: &shared.paper_tables,
     };
 
-    let casting = if ready { casting(&smoke, views.iter().map(|(_, view, ..)| view)) } else { Vec::new() };
+    let casting = casting(&smoke, views.iter().map(|(_, view, ..)| view));
     casters.begin(&casting, &device);
     for &entity in &casting {
         let volume = &smoke.volumes[&entity];
@@ -159,7 +165,7 @@ pub(super) fn prepare_smoke(
         let (jitter, resolution) = projections.get(view_entity).unwrap_or_default();
         let clip_from_view = jittered(view, jitter, resolution);
         let visible = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
-        for &(_, volume_entity) in visible.iter().filter(|_| ready) {
+        for &(_, volume_entity) in visible {
             let Some(volume) = smoke.volumes.get(&volume_entity) else {
                 continue;
             };
@@ -202,10 +208,8 @@ pub(super) fn prepare_smoke(
                 &casters.current,
                 &smoke.spheres,
             );
-            let surroundings = surroundings
-                .entry(key)
-                .and_modify(|surroundings| surroundings.set(around.clone(), &gpu))
-                .or_insert_with(|| Surroundings::new(around, &gpu));
+            let surroundings = surroundings.entry(key).or_insert_with(|| Surroundings::new(&gpu));
+            surroundings.set(around, &gpu);
             let glows = Glow::all(&uniform, placed.shape.half_extent());
             let light = FrameLight {
                 coefficients: lit.coefficients,
@@ -253,9 +257,7 @@ pub(super) fn prepare_smoke(
             components.insert(ViewSmoke(drawn));
         }
 
-        // What a pass is given before it is ready is never done.
-        let shaded_by = ShadedBy::of_view(view, &smoke, casters).filter(|_| ready);
-        let shading = shaded_by.and_then(|shaded_by| {
+        let shading = ShadedBy::of_view(view, &smoke, casters).and_then(|shaded_by| {
             let light = Light::of_view(view, &smoke)?;
             let lit = environments.light(light, &images, &smoke.suns, &gpu, &mut work)?;
             Some(shading.shade(view, shaded_by, &lit, &smoke, casters, *now, &gpu, &mut work))

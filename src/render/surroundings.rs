@@ -104,7 +104,9 @@ pub(super) struct Surroundings {
 }
 
 impl Surroundings {
-    pub fn new(around: Around, gpu: &Gpu) -> Self {
+    /// Nothing as yet.
+    pub fn new(gpu: &Gpu) -> Self {
+        let around = Around::default();
         let spheres = sphere_buffer(&around.spheres, gpu);
         Self { uniform: Cached::new(around.uniform.clone(), gpu), spheres, around, version: 0 }
     }

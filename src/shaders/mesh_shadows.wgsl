@@ -57,6 +57,9 @@ const GREY: f32 = 0.18 / PI;
 // A smaller share of light that is missing is not seen: a quarter of a step of 8 bits at most.
 const FAINT: f32 = 2e-3;
 
+// Directional lights of a view, at most; as in `render/mesh_shadows.rs`.
+const MAX_SUNS: u32 = 10u;
+
 // Steps through a caster's coarse grid toward a light.
 const STEPS: u32 = 24u;
 
@@ -337,7 +340,7 @@ fn fragment(in: Vertex) -> Fragment {
     let sun_irradiance = scene.sky.sun_irradiance * (scene.sky.scale * max(dot(sun, normal), 0.0));
     let has_sun = any(sun_irradiance > vec3(0.0));
     var sun_depth = 0.0;
-    var sun_depths: array<f32, 10>;
+    var sun_depths: array<f32, MAX_SUNS>;
     for (var i = 0u; i < in.caster_count; i++) {
         let caster = scene.casters[i];
         let missing = sky_missing(caster, point, normal);
