@@ -8,6 +8,7 @@ use crate::bundle::SmokeAnimation;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
 use crate::playback::{Shown, SmokeMoment, SmokePlayback};
+use crate::quality::SmokeQuality;
 use crate::scattering::SmokeScattering;
 
 /// A volume of smoke.
@@ -31,6 +32,7 @@ use crate::scattering::SmokeScattering;
     SmokeMedium,
     SmokeEnvironment,
     SmokeScattering,
+    SmokeQuality,
     Transform,
     Visibility,
     VisibilityClass

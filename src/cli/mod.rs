@@ -10,6 +10,7 @@ pub mod info;
 pub mod join;
 pub mod output;
 pub mod path;
+pub mod quality;
 pub mod render;
 pub mod scene;
 pub mod simulate;

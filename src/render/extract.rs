@@ -18,6 +18,7 @@ use crate::occluder::SmokeOccluder;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
 use crate::playback::{Moment, SmokeMoment};
+use crate::quality::{SmokeModel, SmokeQuality};
 use crate::scattering::SmokeScattering;
 use crate::shadows::SmokeShadows;
 use crate::sun::EnvironmentSuns;
@@ -51,6 +52,7 @@ pub(super) struct ExtractedVolume {
     pub medium: SmokeMedium,
     pub environment: SmokeEnvironment,
     pub scattering: SmokeScattering,
+    pub model: SmokeModel,
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
     pub layers: RenderLayers,
@@ -59,6 +61,11 @@ pub(super) struct ExtractedVolume {
 }
 
 impl ExtractedVolume {
+    /// Whether it is drawn at half resolution where that can be.
+    pub fn draws_half_resolution(&self) -> bool {
+        self.model.half_resolution && self.emission() == Emission::Exact
+    }
+
     /// What the view pass is to make of its 3D texture.
     pub fn emission(&self) -> Emission {
         #[cfg(feature = "reference")]
@@ -107,6 +114,7 @@ pub(super) fn extract_smoke(
                 &SmokeMedium,
                 &SmokeEnvironment,
                 &SmokeScattering,
+                &SmokeQuality,
                 &GlobalTransform,
                 Option<&RenderLayers>,
                 &InheritedVisibility,
@@ -134,12 +142,18 @@ pub(super) fn extract_smoke(
     ),
 ) {
     smoke.volumes.clear();
-    for (entity, moment, medium, environment, scattering, transform, layers, visibility, no_caster) in &volumes {
+    for (entity, moment, medium, environment, scattering, quality, transform, layers, visibility, no_caster) in &volumes
+    {
         // Nothing has come yet.
         let Some(moment) = &moment.0 else { continue };
         let clamped = medium.clamped();
         if clamped != *medium {
             warn_once!("{medium:?} of smoke volume {entity} is out of range: it is drawn as {clamped:?} (said once)");
+        }
+        let SmokeQuality::Model(asked) = *quality;
+        let model = asked.clamped();
+        if model != asked {
+            warn_once!("{asked:?} of smoke volume {entity} is out of range: it is drawn with {model:?} (said once)");
         }
         let extracted = ExtractedVolume {
             moment: moment.clone(),
@@ -147,6 +161,7 @@ pub(super) fn extract_smoke(
             medium: clamped,
             environment: environment.clone(),
             scattering: *scattering,
+            model,
             #[cfg(feature = "reference")]
             paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),

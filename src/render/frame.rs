@@ -95,8 +95,47 @@ impl GpuSmokeFrame {
             density: texture_3d(device, "smoke_density", shape.dims, DENSITY_FORMAT),
             coarse: texture_3d(device, "smoke_coarse_density", shape.coarse().dims + 2, FILTERED_FORMAT),
         };
-        frame.write(moment, rbfs, &bins, queue);
+        frame.write_moment(moment, rbfs, &bins, queue);
         frame
+    }
+
+    /// The same smoke with other RBFs, to light it at: what reads its density reads the same textures.
+    pub fn level(&self, rbfs: &[Rbf], device: &RenderDevice, queue: &RenderQueue) -> Self {
+        let bins = RbfBins::new(rbfs, self.shape);
+        let rbf_capacity = rbf_capacity(rbfs.len() as u32);
+        let [uniform, rbf_buffer, bin_offsets, bin_indices] = buffers(rbf_capacity, &bins, device);
+        let mut level = Self {
+            rbf_capacity,
+            version: 0,
+            baked: self.baked.clone(),
+            uniform,
+            rbfs: rbf_buffer,
+            bin_offsets,
+            bin_indices,
+            density: self.density.clone(),
+            coarse: self.coarse.clone(),
+            ..*self
+        };
+        level.write(rbfs, &bins, queue);
+        level
+    }
+
+    /// Follows the moment that a level is of.
+    pub fn rewrite_level(&mut self, moment: &Self, rbfs: &[Rbf], device: &RenderDevice, queue: &RenderQueue) {
+        let bins = RbfBins::new(rbfs, self.shape);
+        self.make_room(rbfs, &bins, device);
+        self.baked = moment.baked.clone();
+        self.version += 1;
+        (self.blend, self.max_density) = (moment.blend, moment.max_density);
+        self.write(rbfs, &bins, queue);
+    }
+
+    /// New buffers where RBFs or bins have outgrown them.
+    fn make_room(&mut self, rbfs: &[Rbf], bins: &RbfBins, device: &RenderDevice) {
+        if rbfs.len() as u32 > self.rbf_capacity || 4 * bins.indices.len() as u64 > self.bin_indices.size() {
+            self.rbf_capacity = self.rbf_capacity.max(rbf_capacity(rbfs.len() as u32));
+            [self.uniform, self.rbfs, self.bin_offsets, self.bin_indices] = buffers(self.rbf_capacity, bins, device);
+        }
     }
 
     /// Shows another moment on the same cells: the density passes must run again.
@@ -109,19 +148,20 @@ impl GpuSmokeFrame {
         queue: &RenderQueue,
     ) {
         let bins = RbfBins::of_moment(rbfs, &moment.stays(), self.shape);
-        if rbfs.len() as u32 > self.rbf_capacity || 4 * bins.indices.len() as u64 > self.bin_indices.size() {
-            self.rbf_capacity = self.rbf_capacity.max(rbf_capacity(rbfs.len() as u32));
-            [self.uniform, self.rbfs, self.bin_offsets, self.bin_indices] = buffers(self.rbf_capacity, &bins, device);
-        }
+        self.make_room(rbfs, &bins, device);
         self.baked = baked;
         self.version += 1;
-        self.write(moment, rbfs, &bins, queue);
+        self.write_moment(moment, rbfs, &bins, queue);
     }
 
-    fn write(&mut self, moment: &Moment, rbfs: &[Rbf], bins: &RbfBins, queue: &RenderQueue) {
-        self.rbf_count = rbfs.len() as u32;
+    fn write_moment(&mut self, moment: &Moment, rbfs: &[Rbf], bins: &RbfBins, queue: &RenderQueue) {
         self.blend = moment.blend;
         self.max_density = moment.density_scale();
+        self.write(rbfs, bins, queue);
+    }
+
+    fn write(&mut self, rbfs: &[Rbf], bins: &RbfBins, queue: &RenderQueue) {
+        self.rbf_count = rbfs.len() as u32;
         let mut uniform = encase::UniformBuffer::new(Vec::<u8>::new());
         uniform.write(&self.frame_uniform(bins)).expect("a Vec grows as it is written to");
         let entries: Vec<RbfEntry> =

@@ -27,6 +27,7 @@ use super::casters::Casters;
 use super::extract::ExtractedSmoke;
 use super::footprint::Footprints;
 use super::frame::{FILTERED_FORMAT, texture_3d};
+use super::level::Levels;
 use super::light::{Environments, Light, LightKey};
 use super::lit::{FrameLight, LitVolume};
 use super::mesh_shadows::ViewMeshShadows;
@@ -50,6 +51,7 @@ pub(super) struct SmokeCache {
     frame: u32,
     environments: Environments,
     moments: Moments,
+    levels: Levels,
     volumes: HashMap<(MainEntity, LightKey), LitVolume>,
     casters: Casters,
     shading: Shading,
@@ -119,7 +121,7 @@ pub(super) fn prepare_smoke(
     (passes, view_pass, stats): (Res<SmokePasses>, Res<ViewPass>, Res<SmokeRenderStats>),
 ) {
     work.clear();
-    let SmokeCache { frame: now, environments, moments, volumes, casters, shading, surroundings, shared } =
+    let SmokeCache { frame: now, environments, moments, levels, volumes, casters, shading, surroundings, shared } =
         &mut *smoke_cache;
     *now = now.wrapping_add(1);
     environments.begin(*now, changed_images.added.iter().chain(&changed_images.modified));
@@ -181,6 +183,8 @@ pub(super) fn prepare_smoke(
             let Some(frame) = moments.show(volume_entity, &volume.moment, &gpu, &mut work) else {
                 continue;
             };
+            let model = volume.model;
+            let frame = levels.of(volume_entity, frame, &volume.moment, model.rbfs, *now, &gpu);
 
             let key = (volume_entity, lit.key);
             let before = volumes.get(&key).map(|volume| volume.choice.multiple);
@@ -189,14 +193,16 @@ pub(super) fn prepare_smoke(
             let emission = volume.emission();
             // Light that scatters into a forward peak goes on for the solver of transport alone.
             let solver = volume.scattering.solver;
+            let diffusion = choice.multiple && solver == ScatteringSolver::Diffusion;
             let transport = choice.multiple && solver == ScatteringSolver::Transport && emission == Emission::Exact;
-            if choice.multiple && solver == ScatteringSolver::Diffusion && choice.share < DIFFUSION_SHARE {
+            if diffusion && choice.share < DIFFUSION_SHARE {
                 warn_once!(
                     "smoke volume {volume_entity:?} is solved by diffusion but is thin: light hardly scatters twice in it, \
                      and ScatteringSolver::Transport is more accurate (said once)"
                 );
             }
             let (uniform, unit) = placed.lighting(volume, &lit, &smoke, transport);
+            let uniform = uniform.reduced(&model, diffusion);
             #[cfg(feature = "reference")]
             let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
             warn_of_limits(volume_entity, &uniform, frame.typical_depth());
@@ -220,6 +226,7 @@ pub(super) fn prepare_smoke(
                 choice,
                 solver,
                 tolerance: volume.scattering.clamped_tolerance(),
+                model,
                 #[cfg(feature = "reference")]
                 paper: volume.paper,
             };
@@ -245,7 +252,8 @@ pub(super) fn prepare_smoke(
             if let Some(uniform) = uniform {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
                 let (distance, depths) = (placed.distance(view), placed.depths(view));
-                drawn.push(ViewSmokeVolume { distance, depths, emission, bind_group });
+                let half_resolution = volume.draws_half_resolution();
+                drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group });
             }
         }
         // Far to near; equal distances keep the order of their entities.
@@ -271,6 +279,7 @@ pub(super) fn prepare_smoke(
     let in_use = |last_used: u32| now.wrapping_sub(last_used) < KEEP_FRAMES;
     environments.retain(in_use);
     shading.retain(in_use);
+    levels.retain(in_use);
     moments.retain(in_use, |volume| smoke.volumes.contains_key(&volume));
     stats.set_memory(moments.memory());
     stats.retain_scattering(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));

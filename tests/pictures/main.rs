@@ -11,6 +11,7 @@ mod environments;
 mod examples;
 mod lamps;
 mod playback;
+mod quality;
 mod scattering;
 mod scene;
 mod shadow_masks;
