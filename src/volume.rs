@@ -1,12 +1,13 @@
 //! The component that puts smoke into a scene, and where its density comes from.
 
+use bevy::asset::RenderAssetUsages;
 use bevy::camera::primitives::Aabb;
 use bevy::camera::visibility::{self, Visibility, VisibilityClass, VisibilitySystems};
 use bevy::prelude::*;
-use bevy::render::render_resource::Extent3d;
+use bevy::render::render_resource::{Extent3d, TextureDimension, TextureFormat};
 
 use crate::bundle::SmokeAnimation;
-use crate::density::GridShape;
+use crate::density::{DensityGrid, GridShape};
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
 use crate::playback::{Shown, SmokeMoment, SmokePlayback};
@@ -113,6 +114,18 @@ impl LiveDensity {
     /// A texture that changes, with densities of about 1.
     pub fn new(image: Handle<Image>) -> Self {
         Self { image, changes: true, max_density: 1.0, lattice: Self::LATTICE }
+    }
+
+    /// A texture that holds a grid, at full precision: see [`still`](Self::still).
+    pub fn image_of(grid: &DensityGrid) -> Image {
+        let dims = grid.shape.dims;
+        Image::new(
+            Extent3d { width: dims.x, height: dims.y, depth_or_array_layers: dims.z },
+            TextureDimension::D3,
+            bytemuck::cast_slice(&grid.values).to_vec(),
+            TextureFormat::R32Float,
+            RenderAssetUsages::RENDER_WORLD,
+        )
     }
 
     /// The same of one that changes only as an asset.

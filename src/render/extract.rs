@@ -162,7 +162,8 @@ pub(super) fn extract_smoke(
     ),
 ) {
     smoke.volumes.clear();
-    for (entity, volume, moment, medium, environment, scattering, transform, layers, visibility, no_caster) in &volumes {
+    for (entity, volume, moment, medium, environment, scattering, transform, layers, visibility, no_caster) in &volumes
+    {
         let content = match (&volume.density, &moment.0) {
             (SmokeDensity::Animation(_), Some(moment)) => Content::Baked(moment.clone()),
             // Nothing has come yet.
