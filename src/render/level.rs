@@ -4,9 +4,9 @@ use bevy::platform::collections::HashMap;
 use bevy::render::render_resource::BufferId;
 use bevy::render::sync_world::MainEntity;
 
+use super::extract::Content;
 use super::frame::GpuSmokeFrame;
 use super::prepare::Gpu;
-use crate::playback::Moment;
 use crate::rbf::reduced;
 
 /// The levels of detail of the volumes that have fewer RBFs than their moment.
@@ -22,20 +22,24 @@ struct Level {
 }
 
 impl Levels {
-    /// What a volume is lit at: `frame`, or where that has more than `limit` RBFs, the same with so many.
+    /// What a volume is lit at: `frame`, or where that has more than `limit` RBFs, the same with so many. Live smoke has as
+    /// many as its lattice says.
     pub fn of<'a>(
         &'a mut self,
         volume: MainEntity,
         frame: &'a GpuSmokeFrame,
-        moment: &Moment,
+        content: &Content,
         limit: u32,
         now: u32,
         gpu: &Gpu,
     ) -> &'a GpuSmokeFrame {
-        if frame.rbf_count <= limit {
-            self.0.remove(&volume);
-            return frame;
-        }
+        let moment = match content {
+            Content::Baked(moment) if frame.rbf_count > limit => moment,
+            _ => {
+                self.0.remove(&volume);
+                return frame;
+            }
+        };
         let of = (frame.uniform.id(), frame.version);
         let rbfs = || reduced(&moment.rbfs().rbfs, limit as usize);
         let level = self.0.entry(volume).or_insert_with(|| {

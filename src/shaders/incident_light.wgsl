@@ -134,6 +134,10 @@ fn gather(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(local_invocation_index) thread: u32,
 ) {
+    // Of live smoke, the CPU knows only how many there may be.
+    if group.x * (THREADS / DIRECTIONS) >= frame.rbf_count {
+        return;
+    }
     // What there is none of looks like the last, and is not written.
     let l = group.x * (THREADS / DIRECTIONS) + thread / DIRECTIONS;
     let is_there = l < frame.rbf_count;

@@ -71,7 +71,8 @@ fn half_resolution_keeps_the_edges_of_meshes() {
     save_radiance("full_resolution", size, &full);
     let apart = |i: usize| (0..4).map(|c| (full[i][c] - half[i][c]).abs()).fold(0.0, f32::max);
     // The mesh in front keeps its colour to the last bit: nothing leaks before it.
-    let in_front: Vec<usize> = (0..full.len()).filter(|&i| full[i][..3] == [0.1, 0.1, 1.0].map(|v| half::f16::from_f32(v).to_f32())).collect();
+    let in_front: Vec<usize> =
+        (0..full.len()).filter(|&i| full[i][..3] == [0.1, 0.1, 1.0].map(|v| half::f16::from_f32(v).to_f32())).collect();
     assert!(in_front.len() > 300, "{}", in_front.len());
     assert!(in_front.iter().all(|&i| apart(i) == 0.0));
     let level = rms(&full, &vec![[0.0; 4]; full.len()]);
