@@ -36,6 +36,7 @@ use super::moments::Moments;
 #[cfg(feature = "reference")]
 use super::paper;
 use super::placed::{Placed, warn_of_limits};
+use super::quality::Qualities;
 use super::shading::{ShadedBy, Shading, casting};
 use super::surroundings::{Around, Surroundings};
 use super::view::{Emission, Glow, ViewPass, ViewSmoke, ViewSmokeVolume};
@@ -53,6 +54,7 @@ pub(super) struct SmokeCache {
     environments: Environments,
     frames: Frames,
     levels: Levels,
+    qualities: Qualities,
     volumes: HashMap<(MainEntity, LightKey), LitVolume>,
     casters: Casters,
     shading: Shading,
@@ -152,8 +154,18 @@ pub(super) fn prepare_smoke(
     (passes, view_pass, stats): (Res<SmokePasses>, Res<ViewPass>, Res<SmokeRenderStats>),
 ) {
     work.clear();
-    let SmokeCache { frame: now, environments, frames, levels, volumes, casters, shading, surroundings, shared } =
-        &mut *smoke_cache;
+    let SmokeCache {
+        frame: now,
+        environments,
+        frames,
+        levels,
+        qualities,
+        volumes,
+        casters,
+        shading,
+        surroundings,
+        shared,
+    } = &mut *smoke_cache;
     *now = now.wrapping_add(1);
     let changed = || changed_images.added.iter().chain(&changed_images.modified);
     environments.begin(*now, changed());
@@ -195,12 +207,25 @@ pub(super) fn prepare_smoke(
         casters.add(entity, &placed, placed.sigma(volume), frame, &mut work);
     }
 
+    // The light of a volume is for all views: they have to be known before.
+    qualities.begin();
+    for (_, view, _, visible) in &views {
+        for &entity in volumes_in(visible) {
+            let Some(volume) = smoke.volumes.get(&entity) else { continue };
+            let Some(frame) = frames.show(entity, volume, &images, &gpu, &mut work) else { continue };
+            let Some(placed) = Placed::new(entity, volume, frame.shape) else { continue };
+            let Some(coverage) = placed.coverage(view) else { continue };
+            let multiple = placed.choose_scattering(volume, frame, None, &device).multiple;
+            qualities.see(entity, (volume, &placed, frame), multiple, &coverage);
+        }
+    }
+    qualities.choose(|entity| &smoke.volumes[&entity], smoke.measured, &stats);
+
     for (view_entity, view, camera, visible) in &views {
         let mut drawn = Vec::new();
         let (jitter, resolution) = projections.get(view_entity).unwrap_or_default();
         let clip_from_view = jittered(view, jitter, resolution);
-        let visible = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
-        for &(_, volume_entity) in visible {
+        for &volume_entity in volumes_in(visible) {
             let Some(volume) = smoke.volumes.get(&volume_entity) else {
                 continue;
             };
@@ -216,7 +241,7 @@ pub(super) fn prepare_smoke(
             let Some(placed) = Placed::new(volume_entity, volume, frame.shape) else {
                 continue;
             };
-            let model = volume.model;
+            let model = qualities.model(volume_entity);
             let frame = levels.of(volume_entity, frame, &volume.content, model.rbfs, *now, &gpu);
 
             let key = (volume_entity, lit.key);
@@ -281,11 +306,12 @@ pub(super) fn prepare_smoke(
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
-            let uniform = placed.smoke_uniform(view, clip_from_view, eye, volume, unit * camera.exposure, glows);
+            let uniform =
+                placed.smoke_uniform(view, clip_from_view, eye, (volume, &model), unit * camera.exposure, glows);
             if let Some(uniform) = uniform {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
                 let (distance, depths) = (placed.distance(view), placed.depths(view));
-                let half_resolution = volume.draws_half_resolution();
+                let half_resolution = model.half_resolution && emission == Emission::Exact;
                 drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group });
             }
         }
@@ -317,7 +343,8 @@ pub(super) fn prepare_smoke(
     frames.live.retain(in_use, exists);
     stats.set_memory(frames.memory());
     levels.retain(in_use);
-    stats.retain_scattering(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
+    qualities.retain(exists);
+    stats.retain_volumes(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
     surroundings.retain(|key, _| volumes.contains_key(key));
     for volume in volumes.values_mut() {
@@ -326,6 +353,12 @@ pub(super) fn prepare_smoke(
             sliced.seen.retain(|_, seen| in_use(seen.last_used));
         }
     }
+}
+
+/// The volumes that a view sees.
+fn volumes_in(visible: &RenderVisibleEntities) -> impl Iterator<Item = &MainEntity> {
+    let class = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
+    class.iter().map(|(_, volume)| volume)
 }
 
 /// The projection that a view's meshes are drawn with: moved by a part of a pixel under temporal anti-aliasing.
