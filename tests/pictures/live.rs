@@ -107,7 +107,9 @@ fn a_texture_that_stands_still_costs_nothing() {
 fn a_compute_shader_writes_smoke() {
     let size = UVec2::new(160, 120);
     let (format, folder) = (TextureFormat::Rgba8UnormSrgb, AssetPlugin::default().file_path);
-    let vent = |app: &mut App| drop(app.add_plugins(live::VentPlugin));
+    let vent = |app: &mut App| {
+        app.add_plugins(live::VentPlugin);
+    };
     let mut headless = Headless::with_plugins(size, format, folder, vent).unwrap();
     headless.draw_cameras_to_image();
     headless.app.insert_resource(TimeUpdateStrategy::ManualDuration(Duration::ZERO));
