@@ -11,6 +11,7 @@ mod input;
 pub mod join;
 pub mod output;
 pub mod path;
+pub mod quality;
 pub mod render;
 pub mod scene;
 pub mod simulate;

@@ -27,6 +27,7 @@ use super::casters::Casters;
 use super::extract::{Content, ExtractedSmoke, ExtractedVolume};
 use super::footprint::Footprints;
 use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, texture_3d};
+use super::level::Levels;
 use super::light::{Environments, Light, LightKey};
 use super::lit::{FrameLight, LitVolume};
 use super::live::LiveFrames;
@@ -51,6 +52,7 @@ pub(super) struct SmokeCache {
     frame: u32,
     environments: Environments,
     frames: Frames,
+    levels: Levels,
     volumes: HashMap<(MainEntity, LightKey), LitVolume>,
     casters: Casters,
     shading: Shading,
@@ -150,7 +152,7 @@ pub(super) fn prepare_smoke(
     (passes, view_pass, stats): (Res<SmokePasses>, Res<ViewPass>, Res<SmokeRenderStats>),
 ) {
     work.clear();
-    let SmokeCache { frame: now, environments, frames, volumes, casters, shading, surroundings, shared } =
+    let SmokeCache { frame: now, environments, frames, levels, volumes, casters, shading, surroundings, shared } =
         &mut *smoke_cache;
     *now = now.wrapping_add(1);
     let changed = || changed_images.added.iter().chain(&changed_images.modified);
@@ -214,6 +216,8 @@ pub(super) fn prepare_smoke(
             let Some(placed) = Placed::new(volume_entity, volume, frame.shape) else {
                 continue;
             };
+            let model = volume.model;
+            let frame = levels.of(volume_entity, frame, &volume.content, model.rbfs, *now, &gpu);
 
             let key = (volume_entity, lit.key);
             let before = volumes.get(&key).map(|volume| volume.choice.multiple);
@@ -222,14 +226,16 @@ pub(super) fn prepare_smoke(
             let emission = volume.emission();
             // Light that scatters into a forward peak goes on for the solver of transport alone.
             let solver = volume.scattering.solver;
+            let diffusion = choice.multiple && solver == ScatteringSolver::Diffusion;
             let transport = choice.multiple && solver == ScatteringSolver::Transport && emission == Emission::Exact;
-            if choice.multiple && solver == ScatteringSolver::Diffusion && choice.is_below(DIFFUSION_SHARE) {
+            if diffusion && choice.is_below(DIFFUSION_SHARE) {
                 warn_once!(
                     "smoke volume {volume_entity:?} is solved by diffusion but is thin: light hardly scatters twice in it, \
                      and ScatteringSolver::Transport is more accurate (said once)"
                 );
             }
             let (uniform, unit) = placed.lighting(volume, &lit, &smoke, transport);
+            let uniform = uniform.reduced(&model, diffusion);
             #[cfg(feature = "reference")]
             let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
             warn_of_limits(volume_entity, &uniform, frame.typical_depth().unwrap_or(0.0));
@@ -253,6 +259,7 @@ pub(super) fn prepare_smoke(
                 choice,
                 solver,
                 tolerance: volume.scattering.clamped_tolerance(),
+                model,
                 #[cfg(feature = "reference")]
                 paper: volume.paper,
             };
@@ -278,7 +285,8 @@ pub(super) fn prepare_smoke(
             if let Some(uniform) = uniform {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
                 let (distance, depths) = (placed.distance(view), placed.depths(view));
-                drawn.push(ViewSmokeVolume { distance, depths, emission, bind_group });
+                let half_resolution = volume.draws_half_resolution();
+                drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group });
             }
         }
         // Far to near; equal distances keep the order of their entities.
@@ -308,6 +316,7 @@ pub(super) fn prepare_smoke(
     frames.moments.retain(in_use, exists);
     frames.live.retain(in_use, exists);
     stats.set_memory(frames.memory());
+    levels.retain(in_use);
     stats.retain_scattering(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
     surroundings.retain(|key, _| volumes.contains_key(key));

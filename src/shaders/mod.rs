@@ -162,7 +162,12 @@ mod tests {
                 })
                 .unwrap_or_else(|error| panic!("{file_path}: {}", error.emit_to_string(&Composer::default())));
         }
-        let shader_defs: HashMap<_, _> = defs.iter().map(|def| (def.to_string(), ShaderDefValue::Bool(true))).collect();
+        // A number where there is one: "NAME=4".
+        let value = |def: &&str| match def.split_once('=') {
+            Some((name, number)) => (name.to_string(), ShaderDefValue::UInt(number.parse().unwrap())),
+            None => (def.to_string(), ShaderDefValue::Bool(true)),
+        };
+        let shader_defs: HashMap<_, _> = defs.iter().map(value).collect();
         let module = composer
             .make_naga_module(NagaModuleDescriptor {
                 source,
@@ -186,7 +191,9 @@ mod tests {
         validate("density.wgsl", include_str!("density.wgsl"), &[]);
         validate("coarse.wgsl", include_str!("coarse.wgsl"), &[]);
         validate("pair_matrix.wgsl", include_str!("pair_matrix.wgsl"), &[]);
-        validate("incident_light.wgsl", include_str!("incident_light.wgsl"), &[]);
+        for directions in ["DIRECTIONS=16", "DIRECTIONS=32", "DIRECTIONS=64"] {
+            validate("incident_light.wgsl", include_str!("incident_light.wgsl"), &[directions]);
+        }
         validate("scattering_source.wgsl", include_str!("scattering_source.wgsl"), &[]);
         validate("sweep.wgsl", include_str!("sweep.wgsl"), &[]);
         validate("extrapolate.wgsl", include_str!("extrapolate.wgsl"), &[]);
@@ -215,6 +222,9 @@ mod tests {
         for defs in [&[][..], &["MULTISAMPLED"], &["TONEMAP_IN_SHADER"], &["MULTISAMPLED", "TONEMAP_IN_SHADER"]] {
             validate("view.wgsl", source, defs);
             validate("view.wgsl", source, &[defs, &["PRINTED_EMISSION"]].concat());
+        }
+        for defs in [&["HALF"][..], &["UPSAMPLED"], &["UPSAMPLED", "TONEMAP_IN_SHADER"]] {
+            validate("view.wgsl", source, defs);
         }
     }
 }

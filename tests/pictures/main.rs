@@ -12,6 +12,7 @@ mod examples;
 mod lamps;
 mod live;
 mod playback;
+mod quality;
 mod scattering;
 mod scene;
 mod shadow_masks;
