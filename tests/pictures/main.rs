@@ -10,6 +10,7 @@ mod endurance;
 mod environments;
 mod examples;
 mod lamps;
+mod live;
 mod playback;
 mod quality;
 mod scattering;
