@@ -175,6 +175,8 @@ mod tests {
     fn setting() -> Setting {
         Setting {
             rbfs: 600.0,
+            is_reducible: true,
+            can_halve: true,
             optical_radius: 0.3,
             g: 0.0,
             multiple: true,
@@ -208,6 +210,13 @@ mod tests {
         assert!(!nothing.is_met && nothing.to_string().contains("nothing is within"), "{nothing}");
         let nothing = best(SmokeQuality::Budget(0.0), &setting());
         assert!(!nothing.is_met && nothing.milliseconds < 0.5 * full.milliseconds);
+    }
+
+    #[test]
+    fn what_cannot_be_is_not_chosen() {
+        let full = Setting { can_halve: false, is_reducible: false, ..setting() };
+        let choice = best(SmokeQuality::Budget(0.0), &full);
+        assert!(!choice.model.half_resolution && choice.model.rbfs == u32::MAX);
     }
 
     #[test]

@@ -9,8 +9,12 @@ pub const WORK: usize = 8;
 /// What cost and error depend on beside the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setting {
-    /// RBFs that the smoke has been baked with.
+    /// RBFs that the smoke has been baked with; of live smoke, that there may be.
     pub rbfs: f32,
+    /// Whether fewer can stand for them: not in live smoke.
+    pub is_reducible: bool,
+    /// Whether all views can draw at half resolution.
+    pub can_halve: bool,
     /// Extinction times density times radius of a typical RBF.
     pub optical_radius: f32,
     /// Mean cosine of the phase function.
@@ -49,7 +53,7 @@ pub struct Coefficients {
 impl Setting {
     /// RBFs that light is computed at.
     fn lit(&self, model: &SmokeModel) -> f32 {
-        self.rbfs.min(model.rbfs as f32)
+        if self.is_reducible { self.rbfs.min(model.rbfs as f32) } else { self.rbfs }
     }
 
     /// What [`Coefficients::base`] is about, of so many RBFs. Where fewer stand for all, they are as much larger.
@@ -65,7 +69,7 @@ impl Setting {
         let lit = self.lit(model);
         let pairs = if self.multiple { lit * lit } else { 0.0 };
         let coefficients = if self.g == 0.0 { 1.0 } else { 1.0 + (model.order * model.order) as f32 };
-        let (marched, blended) = if model.half_resolution { (0.25, 1.0) } else { (1.0, 0.0) };
+        let (marched, blended) = if model.half_resolution && self.can_halve { (0.25, 1.0) } else { (1.0, 0.0) };
         let often = 1.0 / model.lighting_interval as f32;
         [
             1e-6 * marched * self.pixels * (self.cells_along / model.step),
@@ -114,7 +118,7 @@ impl Setting {
         let order = [1.0, self.g.abs().max(0.01).ln(), model.order as f32];
         add(model.order < 4 && self.g != 0.0, &by.order, &order);
         add(model.step > 0.5, &by.step, &[1.0, model.step.ln()]);
-        add(model.half_resolution, &by.half, &[1.0, self.cells_a_pixel.max(1e-3).ln()]);
+        add(model.half_resolution && self.can_halve, &by.half, &[1.0, self.cells_a_pixel.max(1e-3).ln()]);
         sum.sqrt()
     }
 }
@@ -140,15 +144,18 @@ impl Milliseconds {
 
 /// The models there are to choose from in a setting.
 pub fn candidates(setting: &Setting) -> impl Iterator<Item = SmokeModel> + use<> {
-    let (all, g) = (setting.rbfs, setting.g);
-    let counts = [u32::MAX, 800, 400, 200, 100, 50].into_iter().filter(move |&n| n == u32::MAX || (n as f32) < all);
+    let Setting { rbfs: all, g, is_reducible, can_halve, .. } = *setting;
+    let halves: &[bool] = if can_halve { &[false, true] } else { &[false] };
+    let counts = [u32::MAX, 800, 400, 200, 100, 50]
+        .into_iter()
+        .filter(move |&n| n == u32::MAX || is_reducible && (n as f32) < all);
     let orders = move || (1..=4).rev().filter(move |&order| order == 4 || g != 0.0);
     counts.flat_map(move |rbfs| {
         [7, 1].into_iter().flat_map(move |probes| {
             [64, 32, 16].into_iter().flat_map(move |directions| {
                 orders().flat_map(move |order| {
                     [0.5, 1.0, 2.0, 4.0].into_iter().flat_map(move |step| {
-                        [false, true].into_iter().map(move |half_resolution| SmokeModel {
+                        halves.iter().map(move |&half_resolution| SmokeModel {
                             rbfs,
                             probes,
                             order,

@@ -38,6 +38,7 @@ use super::paper;
 use super::placed::{Placed, warn_of_limits};
 use super::quality::Qualities;
 use super::shading::{ShadedBy, Shading, casting};
+use super::slabs::ViewSlabs;
 use super::surroundings::{Around, Surroundings};
 use super::view::{Emission, Glow, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokeMemory, SmokePasses, SmokeRenderStats, SmokeWork};
@@ -147,6 +148,7 @@ pub(super) fn prepare_smoke(
     images: Res<RenderAssets<GpuImage>>,
     views: Query<(Entity, &ExtractedView, &ExtractedCamera, &RenderVisibleEntities), With<Camera3d>>,
     projections: Query<(Option<&TemporalJitter>, Option<&MainPassResolutionOverride>), With<Camera3d>>,
+    targets: Query<(&Msaa, Has<MainPassResolutionOverride>, Has<ViewSlabs>), With<Camera3d>>,
     device: Res<RenderDevice>,
     queue: Res<RenderQueue>,
     pipelines: Res<PipelineCache>,
@@ -209,14 +211,17 @@ pub(super) fn prepare_smoke(
 
     // The light of a volume is for all views: they have to be known before.
     qualities.begin();
-    for (_, view, _, visible) in &views {
+    for (view_entity, view, _, visible) in &views {
+        let can_halve = targets
+            .get(view_entity)
+            .is_ok_and(|(msaa, is_overridden, has_slabs)| msaa.samples() == 1 && !is_overridden && !has_slabs);
         for &entity in volumes_in(visible) {
             let Some(volume) = smoke.volumes.get(&entity) else { continue };
             let Some(frame) = frames.show(entity, volume, &images, &gpu, &mut work) else { continue };
             let Some(placed) = Placed::new(entity, volume, frame.shape) else { continue };
             let Some(coverage) = placed.coverage(view) else { continue };
             let multiple = placed.choose_scattering(volume, frame, None, &device).multiple;
-            qualities.see(entity, (volume, &placed, frame), multiple, &coverage);
+            qualities.see(entity, (volume, &placed, frame), multiple, &coverage, can_halve);
         }
     }
     qualities.choose(|entity| &smoke.volumes[&entity], smoke.measured, &stats);

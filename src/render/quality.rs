@@ -5,10 +5,11 @@ use bevy::platform::collections::HashMap;
 use bevy::prelude::*;
 use bevy::render::sync_world::MainEntity;
 
-use super::extract::ExtractedVolume;
+use super::SmokeRenderStats;
+use super::extract::{Content, ExtractedVolume};
 use super::frame::GpuSmokeFrame;
 use super::placed::{Coverage, Placed};
-use super::{SmokeRenderStats, view};
+use super::view::{self, Emission};
 use crate::quality::{Milliseconds, Pace, QualityChoice, Setting, SmokeModel, SteadyChoice};
 
 /// The choices so far.
@@ -35,6 +36,7 @@ impl Qualities {
         (volume, placed, frame): (&ExtractedVolume, &Placed, &GpuSmokeFrame),
         multiple: bool,
         coverage: &Coverage,
+        can_halve: bool,
     ) {
         let shape = placed.shape;
         let setting = self.settings.entry(entity).or_insert_with(|| {
@@ -43,6 +45,8 @@ impl Qualities {
             let dims = shape.dims.as_vec3();
             Setting {
                 rbfs: frame.rbf_count as f32,
+                is_reducible: matches!(volume.content, Content::Baked(_)),
+                can_halve: volume.emission() == Emission::Exact,
                 optical_radius,
                 g: volume.medium.g,
                 multiple,
@@ -53,6 +57,7 @@ impl Qualities {
                 cells_a_pixel: f32::MAX,
             }
         });
+        setting.can_halve &= can_halve;
         setting.pixels += coverage.pixels;
         setting.cells_a_pixel = setting.cells_a_pixel.min(coverage.cells_a_pixel);
     }
