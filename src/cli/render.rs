@@ -13,6 +13,7 @@ use bevy::render::renderer::RenderAdapterInfo;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
+use super::constellation::{ConstellationArgs, ConstellationStats};
 use super::exr_io::{ExrImage, encode_rgba};
 use super::output::OutputFile;
 use super::path::{self, PathArgs};
@@ -62,7 +63,7 @@ pub struct RenderArgs {
     /// Picture size, in place of the scene's
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     size: Option<[u32; 2]>,
-    /// Rays a pixel. rbf, paper: a square number from 1 to 256, 16 unless given; the picture is drawn that much larger and
+    /// Rays a pixel. rbf, paper, constellation: a square number from 1 to 256, 16 unless given; the picture is drawn that much larger and
     /// averaged, as a path tracer averages over a pixel's area. path: paths in all, 2 or more, 256 unless given; the
     /// noise falls with their square root
     #[arg(long, value_name = "N")]
@@ -71,6 +72,8 @@ pub struct RenderArgs {
     pub(super) path: PathArgs,
     #[command(flatten)]
     solve: SolveArgs,
+    #[command(flatten)]
+    constellation: ConstellationArgs,
     /// Writes what was done and what it cost, as JSON
     #[arg(long)]
     stats: Option<PathBuf>,
@@ -85,7 +88,7 @@ pub(super) enum Method {
     Rbf,
     /// Zhou et al. 2008 as printed, lit by the environment alone: a baseline
     Paper,
-    /// Navarro et al. 2008 (not available yet)
+    /// Navarro et al. 2008: single scattering from a light constellation, a ray to each light from every sample
     Constellation,
     /// The path-traced reference, on the CPU: any light, any number of scattering events, and noise
     Path,
@@ -144,6 +147,8 @@ struct Stats {
     solver: Option<SolverStats>,
     /// What --method paper did; null with another.
     paper: Option<PaperStats>,
+    /// How --method constellation drew; null with another.
+    constellation: Option<ConstellationStats>,
     size: [u32; 2],
     spp: u32,
     cells: [u32; 3],
@@ -254,6 +259,7 @@ fn draw(job: Job) -> anyhow::Result<()> {
     let cells = animation.shape.dims.to_array();
     let mut headless = Headless::new(drawn.into(), TextureFormat::Rgba16Float)?;
     let paper = args.solve.paper(method.used);
+    let constellation = args.constellation.component(method.used);
     let scattering =
         SmokeScattering { events: args.scattering.into(), solver: args.solve.solver().into(), ..default() };
     let (volume, unit) = spawn_scene(&mut headless, &scene, animation, scattering, kind)?;
@@ -265,6 +271,10 @@ fn draw(job: Job) -> anyhow::Result<()> {
                 args.scene.display()
             );
         }
+    }
+
+    if let Some(constellation) = constellation {
+        headless.app.world_mut().entity_mut(volume).insert(constellation);
     }
 
     // The first frame is the one in which the smoke appears.
@@ -311,16 +321,27 @@ fn draw(job: Job) -> anyhow::Result<()> {
         let stats = Stats {
             adapter: adapter.name.clone(),
             backend: adapter.backend.to_string(),
-            method,
-            scattering: chosen_scattering(args.scattering, choice),
+            method: method.clone(),
+            scattering: match constellation {
+                Some(_) => {
+                    let why = "a constellation's light scatters once".into();
+                    Choice { asked: args.scattering, used: Scattering::Single, why }
+                }
+                None => chosen_scattering(args.scattering, choice),
+            },
             solver,
             paper: paper.map(|paper| PaperStats::of(&paper, choice.is_some_and(|choice| choice.multiple))),
             size,
             spp,
             cells,
             rbfs,
-            // The paper looks from the centres alone.
-            probes: if paper.is_some() { rbfs } else { PROBES as usize * rbfs },
+            // The paper looks from the centres alone, a constellation from nowhere.
+            probes: match method.used {
+                Method::Constellation => 0,
+                Method::Paper => rbfs,
+                _ => PROBES as usize * rbfs,
+            },
+            constellation: constellation.map(Into::into),
             frames: args.frames,
             steady_frame_ms: median(frame_ms),
             passes: pass_stats(&counts, world.resource()),
@@ -358,13 +379,10 @@ pub(super) fn average(fine: &[[f32; 4]], [width, height]: [u32; 2], rays: u32, u
 fn choose_method(args: &RenderArgs) -> anyhow::Result<Choice<Method>> {
     let method = match args.method {
         Method::Auto => Choice { asked: Method::Auto, used: Method::Rbf, why: "the input is a bundle".into() },
-        asked @ (Method::Rbf | Method::Paper | Method::Path) => Choice { asked, used: asked, why: "asked for".into() },
-        other => {
-            let name = other.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default();
-            bail!("--method {name} is not available yet: use rbf, paper or path")
-        }
+        asked => Choice { asked, used: asked, why: "asked for".into() },
     };
     args.solve.check(method.used)?;
+    args.constellation.check(method.used)?;
     let traced = method.used == Method::Path;
     ensure!(traced || !args.path.is_given(), "--halves and --seed are for --method path");
     ensure!(!traced || args.frames == 1, "--frames: method path draws a scene once");

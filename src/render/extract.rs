@@ -12,6 +12,7 @@ use bevy::render::sync_world::MainEntity;
 
 use super::lamp::Lamp;
 use super::view::Emission;
+use crate::constellation::SmokeConstellation;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
 use crate::occluder::SmokeOccluder;
@@ -51,6 +52,7 @@ pub(super) struct ExtractedVolume {
     pub medium: SmokeMedium,
     pub environment: SmokeEnvironment,
     pub scattering: SmokeScattering,
+    pub constellation: Option<SmokeConstellation>,
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
     pub layers: RenderLayers,
@@ -61,6 +63,9 @@ pub(super) struct ExtractedVolume {
 impl ExtractedVolume {
     /// What the view pass is to make of its 3D texture.
     pub fn emission(&self) -> Emission {
+        if self.constellation.is_some() {
+            return Emission::Constellation;
+        }
         #[cfg(feature = "reference")]
         if self.paper.is_some() {
             return Emission::Printed;
@@ -115,6 +120,7 @@ pub(super) fn extract_smoke(
             With<SmokeVolume>,
         >,
     >,
+    constellations: Extract<Query<&SmokeConstellation>>,
     #[cfg(feature = "reference")] papers: Extract<Query<&SmokePaper>>,
     cameras: Extract<
         Query<
@@ -147,6 +153,7 @@ pub(super) fn extract_smoke(
             medium: clamped,
             environment: environment.clone(),
             scattering: *scattering,
+            constellation: constellations.get(entity).ok().map(SmokeConstellation::clamped),
             #[cfg(feature = "reference")]
             paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),

@@ -24,10 +24,11 @@ use bevy::render::texture::GpuImage;
 use bevy::render::view::{ExtractedView, RenderVisibleEntities};
 
 use super::casters::Casters;
+use super::constellation::{self, ConstellationPasses, ConstellationWork, Constellations};
 use super::extract::ExtractedSmoke;
 use super::footprint::Footprints;
 use super::frame::{FILTERED_FORMAT, texture_3d};
-use super::light::{Environments, Light, LightKey};
+use super::light::{Environments, Light, LightKey, Lit};
 use super::lit::{FrameLight, LitVolume};
 use super::mesh_shadows::ViewMeshShadows;
 use super::moments::Moments;
@@ -38,6 +39,7 @@ use super::shading::{ShadedBy, Shading, casting};
 use super::surroundings::{Around, Surroundings};
 use super::view::{Emission, Glow, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokePasses, SmokeRenderStats, SmokeWork};
+use crate::constellation::ConstellationShading;
 use crate::scattering::ScatteringSolver;
 use crate::volume::SmokeVolume;
 
@@ -117,6 +119,11 @@ pub(super) fn prepare_smoke(
     pipelines: Res<PipelineCache>,
     changed_images: Res<ExtractedAssets<GpuImage>>,
     (passes, view_pass, stats): (Res<SmokePasses>, Res<ViewPass>, Res<SmokeRenderStats>),
+    (constellation_passes, mut constellations, mut constellation_work): (
+        Res<ConstellationPasses>,
+        ResMut<Constellations>,
+        ResMut<ConstellationWork>,
+    ),
 ) {
     work.clear();
     let SmokeCache { frame: now, environments, moments, volumes, casters, shading, surroundings, shared } =
@@ -124,6 +131,7 @@ pub(super) fn prepare_smoke(
     *now = now.wrapping_add(1);
     environments.begin(*now, changed_images.added.iter().chain(&changed_images.modified));
     moments.begin(*now, &smoke);
+    constellations.begin(*now, &mut constellation_work);
     if !passes.are_ready(&pipelines) {
         // What a pass is given before it is ready is never done.
         for (view, ..) in &views {
@@ -184,9 +192,15 @@ pub(super) fn prepare_smoke(
 
             let key = (volume_entity, lit.key);
             let before = volumes.get(&key).map(|volume| volume.choice.multiple);
-            let choice = placed.choose_scattering(volume, frame, before, &device);
+            let choice = match volume.constellation {
+                Some(_) => constellation::choose_scattering(volume_entity, volume.scattering.events),
+                None => placed.choose_scattering(volume, frame, before, &device),
+            };
             stats.set_scattering(volume_entity, choice);
             let emission = volume.emission();
+            // A constellation has the environment's sun among its lights.
+            let sun = lit.sun.filter(|_| volume.constellation.is_none());
+            let lit = Lit { sun, ..lit };
             // Light that scatters into a forward peak goes on for the solver of transport alone.
             let solver = volume.scattering.solver;
             let transport = choice.multiple && solver == ScatteringSolver::Transport && emission == Emission::Exact;
@@ -199,7 +213,9 @@ pub(super) fn prepare_smoke(
             let (uniform, unit) = placed.lighting(volume, &lit, &smoke, transport);
             #[cfg(feature = "reference")]
             let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
-            warn_of_limits(volume_entity, &uniform, frame.typical_depth());
+            if volume.constellation.is_none() {
+                warn_of_limits(volume_entity, &uniform, frame.typical_depth());
+            }
             let around = Around::new(
                 volume_entity,
                 &placed.world_from_bundle,
@@ -211,12 +227,42 @@ pub(super) fn prepare_smoke(
             let surroundings = surroundings.entry(key).or_insert_with(|| Surroundings::new(&gpu));
             surroundings.set(around, &gpu);
             let glows = Glow::all(&uniform, placed.shape.half_extent());
+            let densities = casters.densities().unwrap_or(&shared.nothing);
+            let eye = placed.eye(view);
+            let seen = |glows| placed.smoke_uniform(view, clip_from_view, eye, volume, unit * camera.exposure, glows);
+            let (distance, depths) = (placed.distance(view), placed.depths(view));
+            if let Some(settings) = volume.constellation {
+                // Where smoke shines by itself no lamps do.
+                let glows = if settings.shading == ConstellationShading::Alpha { default() } else { glows };
+                let Some(uniform_of_view) = seen(glows).filter(|_| constellation_passes.are_ready(&pipelines)) else {
+                    continue;
+                };
+                let view = constellation::View {
+                    entity: view.retained_view_entity,
+                    smoke: uniform_of_view,
+                    size: resolution.map_or(view.viewport.zw(), |resolution| resolution.0),
+                    moment: frame,
+                    settings,
+                    lighting: uniform,
+                    environment: constellation::Environment {
+                        map: lit.map,
+                        coefficients: lit.coefficients,
+                        version: lit.version,
+                    },
+                    surroundings,
+                    densities,
+                };
+                let bind_group = constellations.see(key, view, &constellation_passes, &gpu, &mut constellation_work);
+                let draws = constellation::draws(&settings);
+                drawn.push(ViewSmokeVolume { distance, depths, emission, bind_group, draws });
+                continue;
+            }
             let light = FrameLight {
                 coefficients: lit.coefficients,
                 environment_version: lit.version,
                 uniform,
                 surroundings,
-                densities: casters.densities().unwrap_or(&shared.nothing),
+                densities,
                 choice,
                 solver,
                 tolerance: volume.scattering.clamped_tolerance(),
@@ -235,17 +281,14 @@ pub(super) fn prepare_smoke(
                 .or_insert_with(|| LitVolume::new(frame, &light, &gpu));
             lit_volume.update(frame, light, *now, &gpu, &mut work);
 
-            let eye = placed.eye(view);
             // Isotropic smoke looks the same from everywhere: one texture serves all views.
             let isotropic = volume.medium.g == 0.0;
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
-            let uniform = placed.smoke_uniform(view, clip_from_view, eye, volume, unit * camera.exposure, glows);
-            if let Some(uniform) = uniform {
+            if let Some(uniform) = seen(glows) {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
-                let (distance, depths) = (placed.distance(view), placed.depths(view));
-                drawn.push(ViewSmokeVolume { distance, depths, emission, bind_group });
+                drawn.push(ViewSmokeVolume { distance, depths, emission, bind_group, draws: 1 });
             }
         }
         // Far to near; equal distances keep the order of their entities.
@@ -275,7 +318,8 @@ pub(super) fn prepare_smoke(
     stats.set_memory(moments.memory());
     stats.retain_scattering(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
-    surroundings.retain(|key, _| volumes.contains_key(key));
+    constellations.retain(in_use);
+    surroundings.retain(|key, _| volumes.contains_key(key) || constellations.has(key));
     for volume in volumes.values_mut() {
         volume.sliced.retain(|_, sliced| in_use(sliced.last_used));
         for sliced in volume.sliced.values_mut() {
