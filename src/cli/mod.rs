@@ -8,6 +8,7 @@ pub mod constellation;
 pub mod exr_io;
 pub mod frames;
 pub mod info;
+mod input;
 pub mod join;
 pub mod output;
 pub mod path;

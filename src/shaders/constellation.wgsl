@@ -90,9 +90,7 @@ fn sample_toward(volume: texture_3d<f32>, linear: sampler, x: vec3<f32>, towards
 // Optical depth of the volume itself from a point toward a light. `volume` holds distance (red) and density (alpha).
 fn own_depth(volume: texture_3d<f32>, linear: sampler, x: vec3<f32>, towards: vec3<f32>, distance: f32, skip: bool) -> f32 {
     let ray = ray_in_box(x, towards, settings.half_extent);
-    // No way through the box is longer than 2; but where a fragment is outside the triangle, and runs along for its neighbours'
-    // sake only, what it reads of buffers may be zero and the way to the light endless.
-    let end = clamp(min(ray.leave, distance), 0.0, 2.0);
+    let end = max(min(ray.leave, distance), 0.0);
     let step = settings.shadow_step;
     let samples = u32(ceil(end / step));
     let dark = DARK / max(lighting.sigma_mean, 1e-30);
@@ -160,6 +158,10 @@ fn source_radiance(
     var sum = vec3(0.0);
     for (var n = first; n < last; n++) {
         let light = constellation.lights[n];
+        // Fragments that run along for their neighbours' sake only may read zeros, and have no direction to go.
+        if all(light.color == vec3(0.0)) {
+            continue;
+        }
         // By the inverse of the rotation, its transpose.
         let towards = light.direction * lighting.environment_from_bundle;
         var through = phase(dot(towards, look), lighting.g);

@@ -8,18 +8,18 @@ use bevy::render::render_resource::binding_types::{
 use bevy::render::render_resource::{
     BindGroupLayoutEntries, BufferId, PipelineCache, ShaderStages, StorageTextureAccess, TextureSampleType, TextureView,
 };
+use bevy::render::renderer::RenderDevice;
 use bevy::shader::Shader;
 
 use super::ConstellationWork;
 use crate::render::frame::{DENSITY_FORMAT, FILTERED_FORMAT, FrameUniform, GpuSmokeFrame, texture_3d};
 use crate::render::pass::{ComputePass, Job, workgroups};
-use crate::render::prepare::Gpu;
 
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_constellation_distance";
 
 /// The sweeps along X, Y and Z.
-pub(super) struct DistancePass([ComputePass; 3]);
+pub(in crate::render) struct DistancePass([ComputePass; 3]);
 
 impl DistancePass {
     pub fn new(shader: &Handle<Shader>, cache: &PipelineCache) -> Self {
@@ -40,10 +40,10 @@ impl DistancePass {
 }
 
 /// Distance and density of a moment on the GPU.
-pub(super) struct DistanceMap {
+pub(in crate::render) struct DistanceMap {
     /// Red: distance to smoke in cells; alpha: scaled density. Padded by a cell on each side.
     pub texture: TextureView,
-    jobs: [Job; 3],
+    pub jobs: [Job; 3],
     /// The moment's uniform, which is new where its RBFs had outgrown it.
     frame: BufferId,
     /// The moment's, when it was made.
@@ -52,12 +52,11 @@ pub(super) struct DistanceMap {
 }
 
 impl DistanceMap {
-    pub fn new(moment: &GpuSmokeFrame, passes: &DistancePass, gpu: &Gpu) -> Self {
+    pub fn new(moment: &GpuSmokeFrame, passes: &DistancePass, device: &RenderDevice, cache: &PipelineCache) -> Self {
         let padded = moment.shape.dims + 2;
-        let distances = ["smoke_distance_x", "smoke_distance_xy"]
-            .map(|label| texture_3d(gpu.device, label, padded, DENSITY_FORMAT));
-        let texture = texture_3d(gpu.device, "smoke_distance", padded, FILTERED_FORMAT);
-        let (device, cache) = (gpu.device, gpu.cache);
+        let distances =
+            ["smoke_distance_x", "smoke_distance_xy"].map(|label| texture_3d(device, label, padded, DENSITY_FORMAT));
+        let texture = texture_3d(device, "smoke_distance", padded, FILTERED_FORMAT);
         let (frame, density) = (moment.uniform.as_entire_binding(), &moment.density);
         let [first, middle, last] = passes.passes();
         let bind_groups = [

@@ -6,9 +6,10 @@ use bevy::render::render_resource::binding_types::{
     sampler, storage_buffer_read_only_sized, storage_buffer_sized, texture_2d, texture_cube, uniform_buffer,
 };
 use bevy::render::render_resource::{
-    BindGroup, BindGroupLayoutEntries, Buffer, BufferId, PipelineCache, SamplerBindingType, ShaderStages, ShaderType,
+    BindGroupLayoutEntries, Buffer, BufferId, PipelineCache, SamplerBindingType, ShaderStages, ShaderType,
     TextureSampleType,
 };
+use bevy::render::renderer::RenderDevice;
 use bevy::shader::Shader;
 
 use super::ConstellationWork;
@@ -27,7 +28,7 @@ pub(super) const GRID: UVec2 = UVec2::new(128, 64);
 
 /// The `Cut` of `constellation_lights.wgsl`.
 #[derive(ShaderType, Clone, Debug, PartialEq)]
-pub(super) struct CutUniform {
+pub(in crate::render) struct CutUniform {
     pub ambient: Vec3,
     pub scale: f32,
     pub light_count: u32,
@@ -41,7 +42,7 @@ struct LightEntry {
 }
 
 /// The pass: one resampling for each kind of environment, and the median cut.
-pub(super) struct LightsPass {
+pub(in crate::render) struct LightsPass {
     cube: ComputePass,
     equirect: ComputePass,
     coefficients: ComputePass,
@@ -58,7 +59,7 @@ pub(in crate::render) struct Environment<'a> {
 }
 
 /// The dispatches for one constellation; the first where the environment has changed.
-pub(super) struct LightsJob {
+pub(in crate::render) struct LightsJob {
     resample: Option<(Kind, Job)>,
     cut: Job,
 }
@@ -105,6 +106,57 @@ impl LightsPass {
         [&self.cube, &self.equirect, &self.coefficients, &self.cut]
     }
 
+    /// Resamples an environment to a grid.
+    fn resample_job(
+        &self,
+        environment: &Environment,
+        grid: &Buffer,
+        device: &RenderDevice,
+        cache: &PipelineCache,
+    ) -> (Kind, Job) {
+        let grid = grid.as_entire_binding();
+        let (kind, bind_group) = match environment.map {
+            Some(RadianceMap::Cube(view, sampler)) => {
+                (Kind::Cube, self.cube.bind(device, cache, (grid, view, sampler)))
+            }
+            Some(RadianceMap::Equirect(view)) => (Kind::Equirect, self.equirect.bind(device, cache, (grid, view))),
+            None => {
+                let coefficients = environment.coefficients.as_entire_binding();
+                (Kind::Coefficients, self.coefficients.bind(device, cache, (grid, coefficients)))
+            }
+        };
+        (kind, Job { bind_group, workgroups: GRID.extend(8) / 8 })
+    }
+
+    /// Cuts a grid into lights.
+    fn cut_job(
+        &self,
+        cut: &Buffer,
+        grid: &Buffer,
+        lights: &Buffer,
+        device: &RenderDevice,
+        cache: &PipelineCache,
+    ) -> Job {
+        let sums = storage_buffer(device, "smoke_radiance_sums", 4 * u64::from((GRID + 1).element_product()));
+        let bindings =
+            (cut.as_entire_binding(), grid.as_entire_binding(), sums.as_entire_binding(), lights.as_entire_binding());
+        Job { bind_group: self.cut.bind(device, cache, bindings), workgroups: UVec3::ONE }
+    }
+
+    /// All of it for one environment, and the lights.
+    #[cfg(all(test, feature = "cli"))]
+    pub fn job(
+        &self,
+        environment: &Environment,
+        cut: &Buffer,
+        device: &RenderDevice,
+        cache: &PipelineCache,
+    ) -> (LightsJob, Buffer) {
+        let [grid, lights] = buffers(device);
+        let resample = Some(self.resample_job(environment, &grid, device, cache));
+        (LightsJob { resample, cut: self.cut_job(cut, &grid, &lights, device, cache) }, lights)
+    }
+
     /// The dispatches of a job, each with its pass.
     pub fn jobs<'a>(&'a self, job: &'a LightsJob) -> Vec<(&'a ComputePass, &'a Job)> {
         let resample = job.resample.as_ref().map(|(kind, job)| (self.resample(*kind), job));
@@ -120,11 +172,20 @@ impl LightsPass {
     }
 }
 
+/// The grid, and the `Constellation` of `constellation.wgsl`.
+fn buffers(device: &RenderDevice) -> [Buffer; 2] {
+    let lights = u64::from(SmokeConstellation::MAX_LIGHTS) * LightEntry::min_size().get();
+    [
+        storage_buffer(device, "smoke_radiance_grid", 16 * u64::from(GRID.element_product())),
+        storage_buffer(device, "smoke_constellation", 16 + lights),
+    ]
+}
+
 /// A constellation on the GPU.
 pub(super) struct Constellation {
     grid: Buffer,
     cut: Cached<CutUniform>,
-    median_cut: BindGroup,
+    cut_job: Job,
     lights: Buffer,
     /// The environment's coefficients, and its version, that it was made of.
     made_of: Option<(BufferId, u32)>,
@@ -133,20 +194,10 @@ pub(super) struct Constellation {
 impl Constellation {
     /// Dark until it is updated.
     pub fn new(passes: &LightsPass, gpu: &Gpu) -> Self {
-        let buffer = |label, bytes| storage_buffer(gpu.device, label, bytes);
-        let grid = buffer("smoke_radiance_grid", 16 * u64::from(GRID.element_product()));
-        let sums = buffer("smoke_radiance_sums", 4 * u64::from((GRID + 1).element_product()));
-        let most = u64::from(SmokeConstellation::MAX_LIGHTS);
-        let lights = buffer("smoke_constellation", 16 + most * LightEntry::min_size().get());
+        let [grid, lights] = buffers(gpu.device);
         let cut = Cached::new(CutUniform { ambient: Vec3::ZERO, scale: 0.0, light_count: 0 }, gpu);
-        let bindings = (
-            cut.buffer().as_entire_binding(),
-            grid.as_entire_binding(),
-            sums.as_entire_binding(),
-            lights.as_entire_binding(),
-        );
-        let median_cut = passes.cut.bind(gpu.device, gpu.cache, bindings);
-        Self { grid, cut, median_cut, lights, made_of: None }
+        let cut_job = passes.cut_job(cut.buffer(), &grid, &lights, gpu.device, gpu.cache);
+        Self { grid, cut, cut_job, lights, made_of: None }
     }
 
     /// The `Constellation` of `constellation.wgsl`.
@@ -169,25 +220,10 @@ impl Constellation {
         let made_of = Some((environment.coefficients.id(), environment.version));
         let resample = (self.made_of != made_of).then(|| {
             self.made_of = made_of;
-            let grid = self.grid.as_entire_binding();
-            let (device, cache) = (gpu.device, gpu.cache);
-            let (kind, bind_group) = match environment.map {
-                Some(RadianceMap::Cube(view, sampler)) => {
-                    (Kind::Cube, passes.cube.bind(device, cache, (grid, view, sampler)))
-                }
-                Some(RadianceMap::Equirect(view)) => {
-                    (Kind::Equirect, passes.equirect.bind(device, cache, (grid, view)))
-                }
-                None => {
-                    let coefficients = environment.coefficients.as_entire_binding();
-                    (Kind::Coefficients, passes.coefficients.bind(device, cache, (grid, coefficients)))
-                }
-            };
-            (kind, Job { bind_group, workgroups: GRID.extend(8) / 8 })
+            passes.resample_job(environment, &self.grid, gpu.device, gpu.cache)
         });
         if cut_anew || resample.is_some() {
-            let cut = Job { bind_group: self.median_cut.clone(), workgroups: UVec3::ONE };
-            work.lights.push(LightsJob { resample, cut });
+            work.lights.push(LightsJob { resample, cut: self.cut_job.clone() });
         }
     }
 }

@@ -4,7 +4,7 @@
 use bevy::prelude::*;
 use bevy::render::render_resource::binding_types::{sampler, texture_3d, texture_storage_2d, uniform_buffer};
 use bevy::render::render_resource::{
-    BindGroupLayoutEntries, Buffer, Extent3d, PipelineCache, SamplerBindingType, ShaderStages, ShaderType,
+    BindGroupLayoutEntries, Buffer, Extent3d, PipelineCache, Sampler, SamplerBindingType, ShaderStages, ShaderType,
     StorageTextureAccess, TextureDescriptor, TextureDimension, TextureFormat, TextureSampleType, TextureUsages,
     TextureView, TextureViewDescriptor,
 };
@@ -13,7 +13,6 @@ use bevy::shader::Shader;
 
 use super::View;
 use crate::render::pass::{ComputePass, Job, workgroups};
-use crate::render::prepare::Gpu;
 
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_constellation_mask";
@@ -23,7 +22,7 @@ const FORMAT: TextureFormat = TextureFormat::R32Uint;
 
 /// The `Mask` of `constellation_mask.wgsl`.
 #[derive(ShaderType, Clone, Debug, PartialEq)]
-pub(super) struct MaskUniform {
+pub(in crate::render) struct MaskUniform {
     pub bundle_from_clip: Mat4,
     pub eye: Vec4,
     pub half_extent: Vec3,
@@ -62,7 +61,7 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
 }
 
 /// A texture for so many pixels; where there is no mask, one pixel to bind.
-pub(super) fn texture(size: UVec2, device: &RenderDevice) -> TextureView {
+pub(in crate::render) fn texture(size: UVec2, device: &RenderDevice) -> TextureView {
     let texture = device.create_texture(&TextureDescriptor {
         label: Some("smoke_constellation_mask"),
         size: Extent3d { width: size.x, height: size.y, depth_or_array_layers: 1 },
@@ -76,14 +75,15 @@ pub(super) fn texture(size: UVec2, device: &RenderDevice) -> TextureView {
     texture.create_view(&TextureViewDescriptor::default())
 }
 
-pub(super) fn job(
+pub(in crate::render) fn job(
     pass: &ComputePass,
     uniform: &Buffer,
-    volume: &TextureView,
+    (volume, sampler): (&TextureView, &Sampler),
     mask: &TextureView,
     size: UVec2,
-    gpu: &Gpu,
+    device: &RenderDevice,
+    cache: &PipelineCache,
 ) -> Job {
-    let bind_group = pass.bind(gpu.device, gpu.cache, (uniform.as_entire_binding(), volume, gpu.sampler, mask));
+    let bind_group = pass.bind(device, cache, (uniform.as_entire_binding(), volume, sampler, mask));
     Job { bind_group, workgroups: workgroups(size.extend(1), UVec3::new(8, 8, 1)) }
 }

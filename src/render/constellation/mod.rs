@@ -11,9 +11,9 @@
 //! The [view pass](super::view) then marches the texture from that sample on, and sums the lights at each; only this is per
 //! frame in a static scene.
 
-mod distance;
-mod lights;
-mod mask;
+pub(super) mod distance;
+pub(super) mod lights;
+pub(super) mod mask;
 mod shading;
 
 use bevy::core_pipeline::schedule::camera_driver;
@@ -68,9 +68,9 @@ impl Plugin for ConstellationPlugin {
 /// The compute passes.
 #[derive(Resource)]
 pub(super) struct ConstellationPasses {
-    lights: LightsPass,
-    distance: DistancePass,
-    mask: ComputePass,
+    pub lights: LightsPass,
+    pub distance: DistancePass,
+    pub mask: ComputePass,
 }
 
 impl ConstellationPasses {
@@ -150,9 +150,9 @@ impl Constellations {
     ) -> BindGroup {
         let now = self.now;
         let map = self.distances.entry(view.moment.density.id());
-        let map = map.or_insert_with(|| DistanceMap::new(view.moment, &passes.distance, gpu));
+        let map = map.or_insert_with(|| DistanceMap::new(view.moment, &passes.distance, gpu.device, gpu.cache));
         if !map.is_of(view.moment) {
-            *map = DistanceMap::new(view.moment, &passes.distance, gpu);
+            *map = DistanceMap::new(view.moment, &passes.distance, gpu.device, gpu.cache);
         }
         map.update(view.moment, now, work);
 
@@ -203,7 +203,7 @@ pub(super) fn choose_scattering(volume: MainEntity, events: ScatteringEvents) ->
              in vain (said once)"
         );
     }
-    ScatteringChoice { multiple: false, auto: false, share: 0.0 }
+    ScatteringChoice { multiple: false, auto: false, share: None }
 }
 
 /// Lights that one draw sums, at most; as in `constellation.wgsl`.

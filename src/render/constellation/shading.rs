@@ -122,7 +122,8 @@ impl Seen {
         let settings = Cached::new(SettingsUniform::new(view), gpu);
         let mask = Cached::new(MaskUniform::new(view), gpu);
         let mask_texture = mask::texture(if view.settings.mask { view.size } else { UVec2::ONE }, gpu.device);
-        let find = mask::job(&passes.mask, mask.buffer(), shown.texture, &mask_texture, view.size, gpu);
+        let volume = (shown.texture, gpu.sampler);
+        let find = mask::job(&passes.mask, mask.buffer(), volume, &mask_texture, view.size, gpu.device, gpu.cache);
         let entries = BindGroupEntries::sequential((
             smoke.buffer().as_entire_binding(),
             shown.texture,

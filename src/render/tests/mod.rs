@@ -6,10 +6,12 @@
 //! adapters whose trilinear weights have 8 bits; passes that touch no f16 are held to 2e-5.
 
 mod coarse;
+mod constellation;
 mod density;
 mod diffusion;
 mod environment;
 mod incident_light;
+mod lattice;
 mod moments;
 mod outgoing;
 mod pair_matrix;
