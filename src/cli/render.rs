@@ -63,9 +63,9 @@ pub struct RenderArgs {
     /// Picture size, in place of the scene's
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     size: Option<[u32; 2]>,
-    /// Rays a pixel. rbf, paper, constellation: a square number from 1 to 256, 16 unless given; the picture is drawn that much larger and
-    /// averaged, as a path tracer averages over a pixel's area. path: paths in all, 2 or more, 256 unless given; the
-    /// noise falls with their square root
+    /// Rays a pixel. rbf, paper, constellation: a square number from 1 to 256, 16 unless given; the picture is drawn that
+    /// much larger and averaged, as a path tracer averages over a pixel's area. path: paths in all, 2 or more, 256 unless
+    /// given; the noise falls with their square root
     #[arg(long, value_name = "N")]
     spp: Option<u32>,
     #[command(flatten)]
@@ -321,7 +321,7 @@ fn draw(job: Job) -> anyhow::Result<()> {
         let stats = Stats {
             adapter: adapter.name.clone(),
             backend: adapter.backend.to_string(),
-            method: method.clone(),
+            method,
             scattering: match constellation {
                 Some(_) => {
                     let why = "a constellation's light scatters once".into();
@@ -336,9 +336,9 @@ fn draw(job: Job) -> anyhow::Result<()> {
             cells,
             rbfs,
             // The paper looks from the centres alone, a constellation from nowhere.
-            probes: match method.used {
-                Method::Constellation => None,
-                Method::Paper => rbfs,
+            probes: match (constellation, paper) {
+                (Some(_), _) => None,
+                (_, Some(_)) => rbfs,
                 _ => rbfs.map(|rbfs| PROBES as usize * rbfs),
             },
             constellation: constellation.map(Into::into),

@@ -145,7 +145,7 @@ fn distances_match_their_twin() {
             let cell = twin.padded.cell(i);
             let inside = cell.cmpge(UVec3::ONE).all() && cell.cmple(shape.dims).all();
             let expected = if inside { density.values[shape.index(cell - 1)] } else { 0.0 };
-            assert!((f64::from(texel[3]) - expected).abs() < 1e-3 * expected);
+            assert!((f64::from(texel[3]) - expected).abs() <= 1e-3 * expected);
         }
     }
 }
@@ -197,7 +197,7 @@ fn the_mask_matches_its_twin() {
         .map(|ray| scene.first_sample(&ray).map_or(u32::MAX, |first| first as u32))
         .collect();
     let hits = expected.iter().filter(|first| **first != u32::MAX).count();
-    assert!(hits > 40 && hits < 400, "{hits}");
+    assert!((20..400).contains(&hits), "{hits}");
     for skip_empty in [0, 1] {
         let value = uniform(
             gpu.device(),
