@@ -15,6 +15,7 @@ use bevy::render::texture::GpuImage;
 use super::lamp::Lamp;
 use super::live::Live;
 use super::view::Emission;
+use crate::constellation::SmokeConstellation;
 use crate::density::GridShape;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
@@ -57,6 +58,7 @@ pub(super) struct ExtractedVolume {
     pub environment: SmokeEnvironment,
     pub scattering: SmokeScattering,
     pub model: SmokeModel,
+    pub constellation: Option<SmokeConstellation>,
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
     pub layers: RenderLayers,
@@ -98,6 +100,9 @@ impl ExtractedVolume {
 
     /// What the view pass is to make of its 3D texture.
     pub fn emission(&self) -> Emission {
+        if self.constellation.is_some() {
+            return Emission::Constellation;
+        }
         #[cfg(feature = "reference")]
         if self.paper.is_some() {
             return Emission::Printed;
@@ -151,6 +156,7 @@ pub(super) fn extract_smoke(
             Has<NotShadowCaster>,
         )>,
     >,
+    constellations: Extract<Query<&SmokeConstellation>>,
     #[cfg(feature = "reference")] papers: Extract<Query<&SmokePaper>>,
     cameras: Extract<
         Query<
@@ -195,6 +201,7 @@ pub(super) fn extract_smoke(
             environment: environment.clone(),
             scattering: *scattering,
             model,
+            constellation: constellations.get(entity).ok().map(SmokeConstellation::clamped),
             #[cfg(feature = "reference")]
             paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),
