@@ -47,6 +47,7 @@ pub mod bundle;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;
+pub mod constellation;
 pub mod density;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
@@ -82,6 +83,7 @@ use bevy::asset::AssetApp;
 pub mod prelude {
     pub use crate::SmokePlugin;
     pub use crate::bundle::SmokeAnimation;
+    pub use crate::constellation::{ConstellationShading, SmokeConstellation};
     pub use crate::lighting::SmokeEnvironment;
     pub use crate::medium::SmokeMedium;
     pub use crate::occluder::{OccluderShape, OccluderSphere, SmokeOccluder, SmokeOccluderFit};
@@ -110,6 +112,7 @@ impl Plugin for SmokePlugin {
             .register_type::<lighting::SmokeEnvironment>()
             .register_type::<scattering::SmokeScattering>()
             .register_type::<quality::SmokeQuality>()
+            .register_type::<constellation::SmokeConstellation>()
             .register_type::<shadows::SmokeShadows>()
             .register_type::<shadows::NoSmokeShadow>()
             .add_plugins((

@@ -4,6 +4,7 @@
 
 pub mod bake;
 pub mod compare;
+pub mod constellation;
 pub mod exr_io;
 pub mod frames;
 pub mod info;

@@ -17,6 +17,7 @@ use super::lamp::Lamp;
 use super::live::Live;
 use super::quality;
 use super::view::Emission;
+use crate::constellation::SmokeConstellation;
 use crate::density::GridShape;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
@@ -61,6 +62,7 @@ pub(super) struct ExtractedVolume {
     pub environment: SmokeEnvironment,
     pub scattering: SmokeScattering,
     pub quality: SmokeQuality,
+    pub constellation: Option<SmokeConstellation>,
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
     pub layers: RenderLayers,
@@ -103,6 +105,9 @@ impl ExtractedVolume {
 
     /// What the view pass is to make of its 3D texture.
     pub fn emission(&self) -> Emission {
+        if self.constellation.is_some() {
+            return Emission::Constellation;
+        }
         #[cfg(feature = "reference")]
         if self.paper.is_some() {
             return Emission::Printed;
@@ -156,6 +161,7 @@ pub(super) fn extract_smoke(
             Has<NotShadowCaster>,
         )>,
     >,
+    constellations: Extract<Query<&SmokeConstellation>>,
     #[cfg(feature = "reference")] papers: Extract<Query<&SmokePaper>>,
     cameras: Extract<
         Query<
@@ -202,6 +208,7 @@ pub(super) fn extract_smoke(
             environment: environment.clone(),
             scattering: *scattering,
             quality,
+            constellation: constellations.get(entity).ok().map(SmokeConstellation::clamped),
             #[cfg(feature = "reference")]
             paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),

@@ -33,6 +33,7 @@
 mod baked;
 mod casters;
 mod coarse;
+mod constellation;
 mod density;
 mod diffusion;
 mod environment;
@@ -119,7 +120,7 @@ impl Plugin for SmokeRenderPlugin {
             .init_resource::<EnvironmentSuns>()
             .add_systems(PostUpdate, find_suns)
             .register_required_components::<SmokeVolume, SyncToRenderWorld>()
-            .add_plugins(shadow_mask::ShadowMaskPlugin);
+            .add_plugins((shadow_mask::ShadowMaskPlugin, constellation::ConstellationPlugin));
 
         let render_app = app.sub_app_mut(RenderApp);
         render_app
@@ -284,6 +285,7 @@ fn init_passes(
         #[cfg(feature = "reference")]
         paper: paper::PaperPasses::new(&shaders.paper, &cache),
     });
+    commands.insert_resource(constellation::ConstellationPasses::new(&shaders.constellation, &cache));
     commands.insert_resource(view::ViewPass::new(&shaders.view));
     draw_functions.write().add(slabs::DrawSlab);
     if let Some(pass) = mesh_shadows::MeshShadowPass::new(mesh_pipeline.as_deref(), &shaders.mesh_shadows) {

@@ -24,11 +24,12 @@ use bevy::render::texture::GpuImage;
 use bevy::render::view::{ExtractedView, RenderVisibleEntities};
 
 use super::casters::Casters;
+use super::constellation::{self, ConstellationPasses, ConstellationWork, Constellations};
 use super::extract::{Content, ExtractedSmoke, ExtractedVolume};
 use super::footprint::Footprints;
 use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, texture_3d};
 use super::level::Levels;
-use super::light::{Environments, Light, LightKey};
+use super::light::{Environments, Light, LightKey, Lit};
 use super::lit::{FrameLight, LitVolume};
 use super::live::LiveFrames;
 use super::mesh_shadows::ViewMeshShadows;
@@ -42,6 +43,7 @@ use super::slabs::ViewSlabs;
 use super::surroundings::{Around, Surroundings};
 use super::view::{Emission, Glow, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokeMemory, SmokePasses, SmokeRenderStats, SmokeWork};
+use crate::constellation::ConstellationShading;
 use crate::scattering::ScatteringSolver;
 use crate::volume::SmokeVolume;
 
@@ -154,6 +156,11 @@ pub(super) fn prepare_smoke(
     pipelines: Res<PipelineCache>,
     changed_images: Res<ExtractedAssets<GpuImage>>,
     (passes, view_pass, stats): (Res<SmokePasses>, Res<ViewPass>, Res<SmokeRenderStats>),
+    (constellation_passes, mut constellations, mut constellation_work): (
+        Res<ConstellationPasses>,
+        ResMut<Constellations>,
+        ResMut<ConstellationWork>,
+    ),
 ) {
     work.clear();
     let SmokeCache {
@@ -173,6 +180,7 @@ pub(super) fn prepare_smoke(
     environments.begin(*now, changed());
     frames.moments.begin(*now, &smoke);
     frames.live.begin(*now, changed());
+    constellations.begin(*now, &mut constellation_work);
     if !passes.are_ready(&pipelines) {
         // What a pass is given before it is ready is never done.
         for (view, ..) in &views {
@@ -216,7 +224,9 @@ pub(super) fn prepare_smoke(
             .get(view_entity)
             .is_ok_and(|(msaa, is_overridden, has_slabs)| msaa.samples() == 1 && !is_overridden && !has_slabs);
         for &entity in volumes_in(visible) {
-            let Some(volume) = smoke.volumes.get(&entity) else { continue };
+            // A constellation is a method of its own.
+            let volume = smoke.volumes.get(&entity).filter(|volume| volume.constellation.is_none());
+            let Some(volume) = volume else { continue };
             let Some(frame) = frames.show(entity, volume, &images, &gpu, &mut work) else { continue };
             let Some(placed) = Placed::new(entity, volume, frame.shape) else { continue };
             let Some(coverage) = placed.coverage(view) else { continue };
@@ -251,9 +261,15 @@ pub(super) fn prepare_smoke(
 
             let key = (volume_entity, lit.key);
             let before = volumes.get(&key).map(|volume| volume.choice.multiple);
-            let choice = placed.choose_scattering(volume, frame, before, &device);
+            let choice = match volume.constellation {
+                Some(_) => constellation::choose_scattering(volume_entity, volume.scattering.events),
+                None => placed.choose_scattering(volume, frame, before, &device),
+            };
             stats.set_scattering(volume_entity, choice);
             let emission = volume.emission();
+            // A constellation has the environment's sun among its lights.
+            let sun = lit.sun.filter(|_| volume.constellation.is_none());
+            let lit = Lit { sun, ..lit };
             // Light that scatters into a forward peak goes on for the solver of transport alone.
             let solver = volume.scattering.solver;
             let diffusion = choice.multiple && solver == ScatteringSolver::Diffusion;
@@ -268,7 +284,9 @@ pub(super) fn prepare_smoke(
             let uniform = uniform.reduced(&model, diffusion);
             #[cfg(feature = "reference")]
             let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
-            warn_of_limits(volume_entity, &uniform, frame.typical_depth().unwrap_or(0.0));
+            if volume.constellation.is_none() {
+                warn_of_limits(volume_entity, &uniform, frame.typical_depth().unwrap_or(0.0));
+            }
             let around = Around::new(
                 volume_entity,
                 &placed.world_from_bundle,
@@ -280,12 +298,44 @@ pub(super) fn prepare_smoke(
             let surroundings = surroundings.entry(key).or_insert_with(|| Surroundings::new(&gpu));
             surroundings.set(around, &gpu);
             let glows = Glow::all(&uniform, placed.shape.half_extent());
+            let densities = casters.densities().unwrap_or(&shared.nothing);
+            let eye = placed.eye(view);
+            let seen = |glows| {
+                placed.smoke_uniform(view, clip_from_view, eye, (volume, &model), unit * camera.exposure, glows)
+            };
+            let (distance, depths) = (placed.distance(view), placed.depths(view));
+            if let Some(settings) = volume.constellation {
+                // Where smoke shines by itself no lamps do.
+                let glows = if settings.shading == ConstellationShading::Alpha { default() } else { glows };
+                let Some(uniform_of_view) = seen(glows).filter(|_| constellation_passes.are_ready(&pipelines)) else {
+                    continue;
+                };
+                let view = constellation::View {
+                    entity: view.retained_view_entity,
+                    smoke: uniform_of_view,
+                    size: resolution.map_or(view.viewport.zw(), |resolution| resolution.0),
+                    moment: frame,
+                    settings,
+                    lighting: uniform,
+                    environment: constellation::Environment {
+                        map: lit.map,
+                        coefficients: lit.coefficients,
+                        version: lit.version,
+                    },
+                    surroundings,
+                    densities,
+                };
+                let bind_group = constellations.see(key, view, &constellation_passes, &gpu, &mut constellation_work);
+                let draws = constellation::draws(&settings);
+                drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution: false, bind_group, draws });
+                continue;
+            }
             let light = FrameLight {
                 coefficients: lit.coefficients,
                 environment_version: lit.version,
                 uniform,
                 surroundings,
-                densities: casters.densities().unwrap_or(&shared.nothing),
+                densities,
                 choice,
                 solver,
                 tolerance: volume.scattering.clamped_tolerance(),
@@ -305,19 +355,16 @@ pub(super) fn prepare_smoke(
                 .or_insert_with(|| LitVolume::new(frame, &light, &gpu));
             lit_volume.update(frame, light, *now, &gpu, &mut work);
 
-            let eye = placed.eye(view);
             // Isotropic smoke looks the same from everywhere: one texture serves all views.
             let isotropic = volume.medium.g == 0.0;
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
-            let uniform =
-                placed.smoke_uniform(view, clip_from_view, eye, (volume, &model), unit * camera.exposure, glows);
-            if let Some(uniform) = uniform {
+            if let Some(uniform) = seen(glows) {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
                 let (distance, depths) = (placed.distance(view), placed.depths(view));
                 let half_resolution = model.half_resolution && emission == Emission::Exact;
-                drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group });
+                drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group, draws: 1 });
             }
         }
         // Far to near; equal distances keep the order of their entities.
@@ -351,7 +398,8 @@ pub(super) fn prepare_smoke(
     qualities.retain(exists);
     stats.retain_volumes(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
-    surroundings.retain(|key, _| volumes.contains_key(key));
+    constellations.retain(in_use);
+    surroundings.retain(|key, _| volumes.contains_key(key) || constellations.has(key));
     for volume in volumes.values_mut() {
         volume.sliced.retain(|_, sliced| in_use(sliced.last_used));
         for sliced in volume.sliced.values_mut() {

@@ -35,8 +35,8 @@ use super::placed::Placed;
 use super::view::{ToneMappingTables, ViewSmoke, ViewSmokePipelines};
 use crate::volume::SmokeVolume;
 
-/// The most slabs that a view's smoke is cut into; where more meshes are in it, several go between two slabs.
-const MAX_SLABS: usize = 8;
+/// As in `view.wgsl`: the most slabs that a view's smoke is cut into; where more meshes are in it, several go between two slabs.
+pub(super) const MAX_SLABS: usize = 8;
 
 /// The `slabs` of `view.wgsl`.
 #[derive(ShaderType)]

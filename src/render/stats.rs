@@ -10,7 +10,7 @@ use super::pass::DispatchCounter;
 use crate::quality::QualityChoice;
 use crate::scattering::ScatteringChoice;
 
-const PASS_COUNT: usize = 15 + cfg!(feature = "reference") as usize;
+const PASS_COUNT: usize = 18 + cfg!(feature = "reference") as usize;
 
 /// How many dispatches (and draws) each pass has made since the app started, in both worlds: the renderer counts, the
 /// main world reads. The scattering and the diffusion pass count their solves, each of which is many dispatches. GPU times
@@ -31,6 +31,9 @@ pub struct SmokeRenderStats {
     pub(crate) volume: DispatchCounter,
     #[cfg(feature = "reference")]
     pub(crate) paper: DispatchCounter,
+    pub(crate) constellation_lights: DispatchCounter,
+    pub(crate) constellation_distance: DispatchCounter,
+    pub(crate) constellation_mask: DispatchCounter,
     pub(crate) shadow_probes: DispatchCounter,
     pub(crate) shadow_mask: DispatchCounter,
     pub(crate) mesh_shadows: DispatchCounter,
@@ -68,6 +71,9 @@ impl SmokeRenderStats {
         super::volume::LABEL,
         #[cfg(feature = "reference")]
         super::paper::LABEL,
+        super::constellation::LIGHTS_LABEL,
+        super::constellation::DISTANCE_LABEL,
+        super::constellation::MASK_LABEL,
         super::shadow_probes::LABEL,
         super::shadow_mask::LABEL,
         super::mesh_shadows::LABEL,
@@ -134,6 +140,9 @@ impl SmokeRenderStats {
             &self.volume,
             #[cfg(feature = "reference")]
             &self.paper,
+            &self.constellation_lights,
+            &self.constellation_distance,
+            &self.constellation_mask,
             &self.shadow_probes,
             &self.shadow_mask,
             &self.mesh_shadows,

@@ -32,11 +32,11 @@ use bevy::render::view::{
 };
 use bevy::shader::{Shader, ShaderDefVal};
 
-use super::SmokeRenderStats;
 use super::extract::ExtractedSmoke;
 use super::half_resolution::{self, ViewHalfResolution};
 use super::lighting::{LampUniform, LightingUniform, MAX_LAMPS};
-use super::slabs::{SlabsUniform, ViewSlabs};
+use super::slabs::{MAX_SLABS, SlabsUniform, ViewSlabs};
+use super::{SmokeRenderStats, constellation};
 
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_view";
@@ -105,6 +105,8 @@ pub(super) struct ViewSmokeVolume {
     pub emission: Emission,
     pub half_resolution: bool,
     pub bind_group: BindGroup,
+    /// Draws whose light adds up to the volume's, where light can be added up: 1, or more by a constellation.
+    pub draws: u32,
 }
 
 /// What a step of the march emits, and what the 3D texture holds.
@@ -116,12 +118,15 @@ pub enum Emission {
     /// J D σ Δ, as printed by Zhou et al. 2008; J D.
     #[cfg(feature = "reference")]
     Printed,
+    /// J (1 − exp(−σ D Δ)) with J summed over a light constellation at every step; distance to smoke.
+    Constellation,
 }
 
 /// The pass's layouts and shader.
 #[derive(Resource, Clone)]
 pub(crate) struct ViewPass {
     volume_layout: BindGroupLayoutDescriptor,
+    constellation_layout: BindGroupLayoutDescriptor,
     shader: Handle<Shader>,
 }
 
@@ -135,7 +140,16 @@ impl ViewPass {
                 sampler(SamplerBindingType::Filtering),
             ),
         );
-        Self { volume_layout: BindGroupLayoutDescriptor::new("smoke_view_volume", &entries), shader: shader.clone() }
+        Self {
+            volume_layout: BindGroupLayoutDescriptor::new("smoke_view_volume", &entries),
+            constellation_layout: constellation::layout(),
+            shader: shader.clone(),
+        }
+    }
+
+    /// Layout of what is bound for a volume that is drawn by its constellation.
+    pub fn constellation_layout(&self) -> &BindGroupLayoutDescriptor {
+        &self.constellation_layout
     }
 
     /// Binds one volume.
@@ -214,6 +228,8 @@ impl ViewPassKey {
         }
         if self.slabs {
             defs.push("SLABS".into());
+        }
+        if self.slabs || self.emission == Emission::Constellation {
             defs.push(ShaderDefVal::UInt("SAMPLES".into(), self.samples));
         }
         match self.resolution {
@@ -224,6 +240,9 @@ impl ViewPassKey {
         #[cfg(feature = "reference")]
         if self.emission == Emission::Printed {
             defs.push("PRINTED_EMISSION".into());
+        }
+        if self.emission == Emission::Constellation {
+            defs.push("CONSTELLATION".into());
         }
         if let Some(tonemapping) = self.tonemapping {
             defs.push("TONEMAP_IN_SHADER".into());
@@ -263,9 +282,13 @@ impl SpecializedRenderPipeline for ViewPass {
             }
             _ => vec![target(key.target_format, Some(BlendState { color: over, alpha: over }))],
         };
+        let volume_layout = match key.emission {
+            Emission::Constellation => &self.constellation_layout,
+            _ => &self.volume_layout,
+        };
         RenderPipelineDescriptor {
             label: Some(LABEL.into()),
-            layout: vec![key.view_layout(), self.volume_layout.clone()],
+            layout: vec![key.view_layout(), volume_layout.clone()],
             vertex: VertexState {
                 shader: self.shader.clone(),
                 shader_defs: key.shader_defs(),
@@ -299,6 +322,8 @@ pub(super) struct Pipelines {
     /// For the volumes that emit as printed, if there are any.
     #[cfg(feature = "reference")]
     printed: Option<CachedRenderPipelineId>,
+    /// For the volumes that are drawn by a constellation, if there are any; nobody else waits for it.
+    constellation: Option<CachedRenderPipelineId>,
     layout: BindGroupLayoutDescriptor,
     key: ViewPassKey,
 }
@@ -309,6 +334,7 @@ impl Pipelines {
             Emission::Exact => cache.get_render_pipeline(self.exact),
             #[cfg(feature = "reference")]
             Emission::Printed => cache.get_render_pipeline(self.printed?),
+            Emission::Constellation => cache.get_render_pipeline(self.constellation?),
         }
     }
 
@@ -362,8 +388,12 @@ impl Pipelines {
             let Some(pipeline) = self.get(volume.emission, cache) else { continue };
             pass.set_render_pipeline(pipeline);
             pass.set_bind_group(1, &volume.bind_group, &[]);
-            pass.draw(0..4, slab * samples..(slab + 1) * samples);
-            draws += 1;
+            // What is tone-mapped cannot be added up.
+            for draw in 0..if self.key.tonemapping.is_some() { 1 } else { volume.draws } {
+                let first = draw * MAX_SLABS as u32 + slab;
+                pass.draw(0..4, first * samples..(first + 1) * samples);
+                draws += 1;
+            }
         }
         draws
     }
@@ -398,6 +428,10 @@ pub(super) fn prepare_view_pipelines(
         #[cfg(feature = "reference")]
         printed: smoke.volumes.values().any(|volume| volume.paper.is_some()).then(|| {
             let key = ViewPassKey { emission: Emission::Printed, ..key };
+            pipelines.specialize(&cache, &pass, key)
+        }),
+        constellation: smoke.volumes.values().any(|volume| volume.constellation.is_some()).then(|| {
+            let key = ViewPassKey { emission: Emission::Constellation, ..key };
             pipelines.specialize(&cache, &pass, key)
         }),
         layout: key.view_layout(),

@@ -5,6 +5,7 @@
 
 mod cameras;
 mod compositing;
+mod constellation;
 mod effects;
 mod endurance;
 mod environments;

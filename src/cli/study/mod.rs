@@ -6,6 +6,7 @@ mod shadows;
 mod sphere;
 mod spheres;
 mod stability;
+mod table1;
 
 use clap::Subcommand;
 
@@ -16,7 +17,8 @@ pub(super) const EXAMPLES: &str = "\
   smoke study spheres --spheres 16,32
   smoke study flicker plume.smoke --density plume_*.vdb
   smoke study shadows plume.smoke
-  smoke study quality --references REFERENCES > quality.json";
+  smoke study quality --references REFERENCES > quality.json
+  smoke study table1 plume.vdb --size 96x96";
 
 /// What to study.
 #[derive(Subcommand, Debug)]
@@ -41,6 +43,8 @@ pub enum Study {
     /// How close fitted spheres come to the meshes they stand for in smoke's light, and how long fitting takes. Prints
     /// tables: a cube, a wall, a torus, a figure that walks, and ground
     Spheres(spheres::SpheresArgs),
+    /// What validity mask and distance map bring to --method constellation: Table 1 of Navarro et al. 2008, done again
+    Table1(table1::Table1Args),
 }
 
 /// Runs `smoke study`.
@@ -52,5 +56,6 @@ pub fn run(study: &Study) -> anyhow::Result<()> {
         Study::Shadows(args) => shadows::run(args),
         Study::Quality(args) => quality::run(args),
         Study::Spheres(args) => spheres::run(args),
+        Study::Table1(args) => table1::run(args),
     }
 }
