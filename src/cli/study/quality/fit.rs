@@ -67,7 +67,7 @@ pub fn fit(measurements: &[Measurement]) -> Fit {
     let directions = directions.map(|m| ([1.0, (64.0 / f64::from(m.model.directions)).ln()], log(m.change)));
     let order = only(|m| SmokeModel { order: 4, ..*m });
     let order =
-        order.map(|m| ([1.0, f64::from(m.setting.g.abs().max(0.01)).ln(), f64::from(m.model.order)], log(m.change)));
+        order.map(|m| ([1.0, f64::from(m.model.order) * f64::from(m.setting.g.abs().max(0.01)).ln()], log(m.change)));
     let step = only(|m| SmokeModel { step: 0.5, ..*m });
     let step = step.map(|m| ([1.0, f64::from(m.model.step).ln()], log(m.change)));
     // At the size that it was drawn at.
