@@ -59,6 +59,7 @@ pub mod optics;
 #[cfg(feature = "reference")]
 pub mod paper;
 pub mod playback;
+pub mod quality;
 mod random;
 pub mod rbf;
 #[cfg(feature = "reference")]
@@ -87,6 +88,7 @@ pub mod prelude {
     pub use crate::medium::SmokeMedium;
     pub use crate::occluder::{OccluderShape, OccluderSphere, SmokeOccluder, SmokeOccluderFit};
     pub use crate::playback::{PlaybackMode, SmokeFinished, SmokeLooped, SmokePlayback, SmokeReady};
+    pub use crate::quality::{SmokeModel, SmokeQuality};
     pub use crate::scattering::{ScatteringEvents, ScatteringSolver, SmokeScattering};
     pub use crate::shadows::{NoSmokeShadow, SmokeShadows};
     pub use crate::volume::{LiveDensity, SmokeDensity, SmokeVolume};
@@ -110,6 +112,7 @@ impl Plugin for SmokePlugin {
             .register_type::<lighting::SmokeEnvironment>()
             .register_type::<scattering::SmokeScattering>()
             .register_type::<constellation::SmokeConstellation>()
+            .register_type::<quality::SmokeQuality>()
             .register_type::<shadows::SmokeShadows>()
             .register_type::<shadows::NoSmokeShadow>()
             .add_plugins((

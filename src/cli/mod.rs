@@ -12,6 +12,7 @@ mod input;
 pub mod join;
 pub mod output;
 pub mod path;
+pub mod quality;
 pub mod render;
 pub mod scene;
 pub mod simulate;

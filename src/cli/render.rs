@@ -18,13 +18,14 @@ use super::exr_io::{ExrImage, encode_rgba};
 use super::input::{Smoke, is_density};
 use super::output::OutputFile;
 use super::path::{self, PathArgs};
+use super::quality::{ModelStats, QualityArgs};
 use super::scene::{Environment, Scene, SceneLight};
 use super::solve::{PaperStats, SolveArgs, Solver};
 use super::surfaces::{cast_shadows, environment_map, spawn_surfaces};
 use crate::headless::{Headless, HeadlessError};
 use crate::lighting::magnitude;
 use crate::prelude::*;
-use crate::render::{PROBES, SmokeRenderStats};
+use crate::render::SmokeRenderStats;
 use crate::scattering::ScatteringChoice;
 use crate::sh::Sh;
 
@@ -74,6 +75,8 @@ pub struct RenderArgs {
     solve: SolveArgs,
     #[command(flatten)]
     constellation: ConstellationArgs,
+    #[command(flatten)]
+    quality: QualityArgs,
     /// Writes what was done and what it cost, as JSON
     #[arg(long)]
     stats: Option<PathBuf>,
@@ -154,7 +157,10 @@ struct Stats {
     cells: [u32; 3],
     /// Null of raw density, whose RBFs only the GPU knows.
     rbfs: Option<usize>,
+    /// That light is computed at.
     probes: Option<usize>,
+    /// What the light and the picture of method rbf were computed with; null with another.
+    model: Option<ModelStats>,
     frames: u32,
     /// Median milliseconds of a whole frame after the first, by the clock, GPU work included; null where there were none.
     steady_frame_ms: Option<f64>,
@@ -263,6 +269,9 @@ fn draw(job: Job) -> anyhow::Result<()> {
     let scattering =
         SmokeScattering { events: args.scattering.into(), solver: args.solve.solver().into(), ..default() };
     let (volume, unit) = spawn_scene(&mut headless, &scene, smoke, args.solve.lattice(), scattering, kind)?;
+    let quality = args.quality.quality();
+    headless.app.world_mut().entity_mut(volume).insert(quality);
+    let SmokeQuality::Model(model) = quality;
     if let Some(paper) = paper {
         headless.app.world_mut().entity_mut(volume).insert(paper);
         if scene.has_surfaces() {
@@ -336,11 +345,11 @@ fn draw(job: Job) -> anyhow::Result<()> {
             cells,
             rbfs,
             // The paper looks from the centres alone, a constellation from nowhere.
-            probes: match (constellation, paper) {
-                (Some(_), _) => None,
-                (_, Some(_)) => rbfs,
-                _ => rbfs.map(|rbfs| PROBES as usize * rbfs),
-            },
+            probes: rbfs.filter(|_| constellation.is_none()).map(|rbfs| match paper {
+                Some(_) => rbfs,
+                None => model.probes as usize * rbfs.min(model.rbfs as usize),
+            }),
+            model: (paper.is_none() && constellation.is_none()).then(|| model.into()),
             constellation: constellation.map(Into::into),
             frames: args.frames,
             steady_frame_ms: median(frame_ms),
@@ -393,6 +402,7 @@ fn choose_method(args: &RenderArgs) -> anyhow::Result<Choice<Method>> {
     };
     args.solve.check(method.used, is_density(&args.input))?;
     args.constellation.check(method.used)?;
+    args.quality.check(method.used)?;
     let traced = method.used == Method::Path;
     ensure!(traced || !args.path.is_given(), "--halves and --seed are for --method path");
     ensure!(!traced || args.frames == 1, "--frames: method path draws a scene once");

@@ -23,6 +23,7 @@ use crate::occluder::SmokeOccluder;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
 use crate::playback::{Moment, SmokeMoment};
+use crate::quality::{SmokeModel, SmokeQuality};
 use crate::scattering::SmokeScattering;
 use crate::shadows::SmokeShadows;
 use crate::sun::EnvironmentSuns;
@@ -57,6 +58,7 @@ pub(super) struct ExtractedVolume {
     pub environment: SmokeEnvironment,
     pub scattering: SmokeScattering,
     pub constellation: Option<SmokeConstellation>,
+    pub model: SmokeModel,
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
     pub layers: RenderLayers,
@@ -91,6 +93,11 @@ impl Content {
 }
 
 impl ExtractedVolume {
+    /// Whether it is drawn at half resolution where that can be.
+    pub fn draws_half_resolution(&self) -> bool {
+        self.model.half_resolution && self.emission() == Emission::Exact
+    }
+
     /// What the view pass is to make of its 3D texture.
     pub fn emission(&self) -> Emission {
         if self.constellation.is_some() {
@@ -142,6 +149,7 @@ pub(super) fn extract_smoke(
             &SmokeMedium,
             &SmokeEnvironment,
             &SmokeScattering,
+            &SmokeQuality,
             &GlobalTransform,
             Option<&RenderLayers>,
             &InheritedVisibility,
@@ -168,7 +176,8 @@ pub(super) fn extract_smoke(
     ),
 ) {
     smoke.volumes.clear();
-    for (entity, volume, moment, medium, environment, scattering, transform, layers, visibility, no_caster) in &volumes
+    for (entity, volume, moment, medium, environment, scattering, quality, transform, layers, visibility, no_caster) in
+        &volumes
     {
         let content = match (&volume.density, &moment.0) {
             (SmokeDensity::Animation(_), Some(moment)) => Content::Baked(moment.clone()),
@@ -180,6 +189,11 @@ pub(super) fn extract_smoke(
         if clamped != *medium {
             warn_once!("{medium:?} of smoke volume {entity} is out of range: it is drawn as {clamped:?} (said once)");
         }
+        let SmokeQuality::Model(asked) = *quality;
+        let model = asked.clamped();
+        if model != asked {
+            warn_once!("{asked:?} of smoke volume {entity} is out of range: it is drawn with {model:?} (said once)");
+        }
         let extracted = ExtractedVolume {
             content,
             world_from_bundle: transform.affine(),
@@ -187,6 +201,7 @@ pub(super) fn extract_smoke(
             environment: environment.clone(),
             scattering: *scattering,
             constellation: constellations.get(entity).ok().map(SmokeConstellation::clamped),
+            model,
             #[cfg(feature = "reference")]
             paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),

@@ -190,6 +190,7 @@ impl Placed {
             eye,
             rectangle,
             half_extent,
+            step: volume.model.step * self.shape.cell_size(),
             cell: self.shape.cell_size(),
             sigma: self.sigma(volume),
             radiance_scale,

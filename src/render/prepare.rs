@@ -28,6 +28,7 @@ use super::constellation::{self, ConstellationPasses, ConstellationWork, Constel
 use super::extract::{Content, ExtractedSmoke, ExtractedVolume};
 use super::footprint::Footprints;
 use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, texture_3d};
+use super::level::Levels;
 use super::light::{Environments, Light, LightKey, Lit};
 use super::lit::{FrameLight, LitVolume};
 use super::live::LiveFrames;
@@ -53,6 +54,7 @@ pub(super) struct SmokeCache {
     frame: u32,
     environments: Environments,
     frames: Frames,
+    levels: Levels,
     volumes: HashMap<(MainEntity, LightKey), LitVolume>,
     casters: Casters,
     shading: Shading,
@@ -157,7 +159,7 @@ pub(super) fn prepare_smoke(
     ),
 ) {
     work.clear();
-    let SmokeCache { frame: now, environments, frames, volumes, casters, shading, surroundings, shared } =
+    let SmokeCache { frame: now, environments, frames, levels, volumes, casters, shading, surroundings, shared } =
         &mut *smoke_cache;
     *now = now.wrapping_add(1);
     let changed = || changed_images.added.iter().chain(&changed_images.modified);
@@ -222,6 +224,11 @@ pub(super) fn prepare_smoke(
             let Some(placed) = Placed::new(volume_entity, volume, frame.shape) else {
                 continue;
             };
+            let model = volume.model;
+            let frame = match volume.constellation {
+                Some(_) => frame,
+                None => levels.of(volume_entity, frame, &volume.content, model.rbfs, *now, &gpu),
+            };
 
             let key = (volume_entity, lit.key);
             let before = volumes.get(&key).map(|volume| volume.choice.multiple);
@@ -236,14 +243,16 @@ pub(super) fn prepare_smoke(
             let lit = Lit { sun, ..lit };
             // Light that scatters into a forward peak goes on for the solver of transport alone.
             let solver = volume.scattering.solver;
+            let diffusion = choice.multiple && solver == ScatteringSolver::Diffusion;
             let transport = choice.multiple && solver == ScatteringSolver::Transport && emission == Emission::Exact;
-            if choice.multiple && solver == ScatteringSolver::Diffusion && choice.is_below(DIFFUSION_SHARE) {
+            if diffusion && choice.is_below(DIFFUSION_SHARE) {
                 warn_once!(
                     "smoke volume {volume_entity:?} is solved by diffusion but is thin: light hardly scatters twice in it, \
                      and ScatteringSolver::Transport is more accurate (said once)"
                 );
             }
             let (uniform, unit) = placed.lighting(volume, &lit, &smoke, transport);
+            let uniform = uniform.reduced(&model, diffusion);
             #[cfg(feature = "reference")]
             let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
             if volume.constellation.is_none() {
@@ -287,7 +296,8 @@ pub(super) fn prepare_smoke(
                 };
                 let bind_group = constellations.see(key, view, &constellation_passes, &gpu, &mut constellation_work);
                 let draws = constellation::draws(&settings);
-                drawn.push(ViewSmokeVolume { distance, depths, emission, bind_group, draws });
+                let half_resolution = false;
+                drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group, draws });
                 continue;
             }
             let light = FrameLight {
@@ -299,6 +309,7 @@ pub(super) fn prepare_smoke(
                 choice,
                 solver,
                 tolerance: volume.scattering.clamped_tolerance(),
+                model,
                 #[cfg(feature = "reference")]
                 paper: volume.paper,
             };
@@ -321,7 +332,8 @@ pub(super) fn prepare_smoke(
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
             if let Some(uniform) = seen(glows) {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
-                drawn.push(ViewSmokeVolume { distance, depths, emission, bind_group, draws: 1 });
+                let half_resolution = volume.draws_half_resolution();
+                drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group, draws: 1 });
             }
         }
         // Far to near; equal distances keep the order of their entities.
@@ -351,6 +363,7 @@ pub(super) fn prepare_smoke(
     frames.moments.retain(in_use, exists);
     frames.live.retain(in_use, exists);
     stats.set_memory(frames.memory());
+    levels.retain(in_use);
     stats.retain_scattering(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
     constellations.retain(in_use);

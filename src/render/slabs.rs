@@ -239,7 +239,7 @@ pub(super) fn prepare_slabs(
             usage: BufferUsages::UNIFORM,
         });
         let bind_group =
-            pipelines.bind_view(view_uniforms, &copy.default_view, Some(&buffer), &tables, &device, &cache);
+            pipelines.bind_view(view_uniforms, &copy.default_view, Some(&buffer), None, &tables, &device, &cache);
         view_slabs.resources = Some(SlabResources { depth: copy.texture, bind_group });
     }
 }

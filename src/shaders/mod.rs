@@ -187,9 +187,12 @@ mod tests {
                 })
                 .unwrap_or_else(|error| panic!("{file_path}: {}", error.emit_to_string(&Composer::default())));
         }
-        let mut shader_defs: HashMap<_, _> =
-            defs.iter().map(|def| (def.to_string(), ShaderDefValue::Bool(true))).collect();
-        shader_defs.insert("SAMPLES".into(), ShaderDefValue::UInt(4));
+        // A number where there is one: "NAME=4".
+        let value = |def: &&str| match def.split_once('=') {
+            Some((name, number)) => (name.to_string(), ShaderDefValue::UInt(number.parse().unwrap())),
+            None => (def.to_string(), ShaderDefValue::Bool(true)),
+        };
+        let shader_defs: HashMap<_, _> = defs.iter().map(value).collect();
         let module = composer
             .make_naga_module(NagaModuleDescriptor {
                 source,
@@ -213,7 +216,9 @@ mod tests {
         validate("density.wgsl", include_str!("density.wgsl"), &[]);
         validate("coarse.wgsl", include_str!("coarse.wgsl"), &[]);
         validate("pair_matrix.wgsl", include_str!("pair_matrix.wgsl"), &[]);
-        validate("incident_light.wgsl", include_str!("incident_light.wgsl"), &[]);
+        for directions in ["DIRECTIONS=16", "DIRECTIONS=32", "DIRECTIONS=64"] {
+            validate("incident_light.wgsl", include_str!("incident_light.wgsl"), &[directions]);
+        }
         validate("scattering_source.wgsl", include_str!("scattering_source.wgsl"), &[]);
         validate("sweep.wgsl", include_str!("sweep.wgsl"), &[]);
         validate("extrapolate.wgsl", include_str!("extrapolate.wgsl"), &[]);
@@ -250,8 +255,11 @@ mod tests {
         for defs in [&[][..], &["MULTISAMPLED"], &["TONEMAP_IN_SHADER"], &["MULTISAMPLED", "TONEMAP_IN_SHADER"]] {
             validate("view.wgsl", source, defs);
             validate("view.wgsl", source, &[defs, &["PRINTED_EMISSION"]].concat());
-            validate("view.wgsl", source, &[defs, &["CONSTELLATION"]].concat());
-            validate("view.wgsl", source, &[defs, &["CONSTELLATION", "SLABS"]].concat());
+            validate("view.wgsl", source, &[defs, &["CONSTELLATION", "SAMPLES=4"]].concat());
+            validate("view.wgsl", source, &[defs, &["CONSTELLATION", "SLABS", "SAMPLES=4"]].concat());
+        }
+        for defs in [&["HALF"][..], &["UPSAMPLED"], &["UPSAMPLED", "TONEMAP_IN_SHADER"]] {
+            validate("view.wgsl", source, defs);
         }
     }
 }

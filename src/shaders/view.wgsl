@@ -1,5 +1,5 @@
 // Marches every pixel's ray through one volume and composites it over what is drawn so far.
-// At each step, half a voxel long, smoke of extinction sigma D emits J (1 - exp(-sigma D step)); where PRINTED_EMISSION is
+// At each step, half a voxel long unless the model says otherwise, smoke of extinction sigma D emits J (1 - exp(-sigma D step)); where PRINTED_EMISSION is
 // defined, sigma step times what the texture holds, J D (Zhou et al. 2008).
 //
 // With MSAA the rectangle is drawn once per sample: where all samples of a pixel see the same depth the first instance
@@ -10,6 +10,11 @@
 //
 // Where CONSTELLATION is defined the texture holds no radiance, and J is summed over a light constellation at every sample
 // (constellation.wgsl). Samples then are at whole numbers of steps from the eye, so that leaving out empty ones moves none.
+//
+// At half resolution a volume is drawn twice. Where HALF is defined, a pixel of half the size is marched through the corner
+// that four pixels share, as deep as the deepest of them sees, and how deep that is is kept beside it. Where UPSAMPLED is
+// defined, a pixel blends those of the four nearest that see as deep as itself (joint bilateral upsampling, Kopf et al. 2007);
+// where too few do, it is marched. So smoke leaks neither before a mesh nor behind it.
 #import bevy_render::view::View
 #import bevy_smoke::lighting::phase
 #import bevy_smoke::march::{Ray, ray_through, texture_position}
@@ -44,6 +49,8 @@ struct Smoke {
     // Corners of the rectangle on screen, in normalised device coordinates: min.xy, max.xy.
     rectangle: vec4<f32>,
     half_extent: vec3<f32>,
+    // Length of a step at most, in bundle space.
+    step: f32,
     // Side of a voxel in bundle space.
     cell: f32,
     // Extinction a bundle unit where the scaled density is 1.
@@ -66,6 +73,12 @@ struct Smoke {
 // The depths, in normalised device coordinates, where each slab ends and begins: x, the farther, is 0 at infinity; y is 1
 // where nothing is nearer.
 @group(0) @binding(4) var<uniform> slabs: array<vec4<f32>, 8>;
+#endif
+#ifdef UPSAMPLED
+// Exposed radiance, opacity in alpha.
+@group(0) @binding(5) var half_color: texture_2d<f32>;
+// As `depth_in_box` has it.
+@group(0) @binding(6) var half_depth: texture_2d<f32>;
 #endif
 @group(1) @binding(0) var<uniform> smoke: Smoke;
 // RGB: source radiance (for a CONSTELLATION, red: distance to smoke, in cells); alpha: scaled density; padded by one cell on
@@ -177,6 +190,11 @@ fn near_light(glow: Glow, ray: Ray, leave: f32, footprint: vec2<f32>) -> vec3<f3
     return glow.color * (sum * sigma * exp(-sigma * b) * spot * spot);
 }
 
+// Exposed radiance, and opacity in alpha, of radiance and transmittance. The target may be f16, which must not overflow.
+fn exposed(marched: vec4<f32>) -> vec4<f32> {
+    return vec4(min(marched.rgb * smoke.radiance_scale, vec3(65504.0)), 1.0 - marched.a);
+}
+
 #ifdef CONSTELLATION
 
 // Radiance in RGB, transmittance in alpha. The i-th sample stands for what is between i and i + 1 steps from the eye; of the
@@ -230,7 +248,7 @@ fn march(
 // Radiance in RGB, transmittance in alpha.
 fn march(ray: Ray, leave: f32, footprint: vec2<f32>, glow_count: u32) -> vec4<f32> {
     let length = leave - ray.enter;
-    let steps = u32(ceil(length / (0.5 * smoke.cell)));
+    let steps = u32(ceil(length / smoke.step));
     let step = length / f32(steps);
     var radiance = vec3(0.0);
     var transmittance = 1.0;
@@ -261,6 +279,43 @@ fn march(ray: Ray, leave: f32, footprint: vec2<f32>, glow_count: u32) -> vec4<f3
     return vec4(radiance, transmittance);
 }
 
+fn seen_through(ray: Ray, leave: f32, footprint: vec2<f32>, glow_count: u32) -> vec4<f32> {
+    return exposed(march(ray, leave, footprint, glow_count));
+}
+
+#endif
+
+// How deep a pixel sees: where the mesh behind it is, over the radius of the sphere about the box, from -1, before, to 1,
+// behind the smoke.
+fn depth_in_box(ray: Ray, mesh: f32) -> f32 {
+    return clamp((mesh + dot(ray.origin, ray.direction)) / length(smoke.half_extent), -1.0, 1.0);
+}
+
+#ifdef UPSAMPLED
+// Pixels whose depths are so many cells apart have nothing to do with each other.
+const APART: f32 = 2.0;
+// So much of the four nearest has to see as deep.
+const ENOUGH: f32 = 0.2;
+
+// A pixel, from those of half the size around it; opacity -1 where too few see as deep.
+fn upsampled(at: vec2<f32>, depth: f32) -> vec4<f32> {
+    let x = 0.5 * at - 0.5;
+    let low = floor(x);
+    let f = x - low;
+    let last = vec2<i32>(textureDimensions(half_color)) - 1;
+    var sum = vec4(0.0);
+    var total = 0.0;
+    for (var i = 0u; i < 4u; i++) {
+        let corner = vec2(i & 1u, i >> 1u);
+        let texel = clamp(vec2<i32>(low) + vec2<i32>(corner), vec2(0), last);
+        let share = select(1.0 - f, f, corner == vec2(1u));
+        let apart = abs(textureLoad(half_depth, texel, 0).x - depth) * length(smoke.half_extent) / smoke.cell;
+        let weight = share.x * share.y * saturate(1.0 - apart / APART);
+        sum += weight * textureLoad(half_color, texel, 0);
+        total += weight;
+    }
+    return select(vec4(0.0, 0.0, 0.0, -1.0), sum / max(total, 1e-6), total >= ENOUGH);
+}
 #endif
 
 // Length of a pixel's diagonal, from its sides.
@@ -270,6 +325,9 @@ fn diagonal(x: vec3<f32>, y: vec3<f32>) -> f32 {
 
 struct Fragment {
     @location(0) color: vec4<f32>,
+#ifdef HALF
+    @location(1) depth: f32,
+#endif
 #ifdef MULTISAMPLED
     @builtin(sample_mask) mask: u32,
 #endif
@@ -277,7 +335,11 @@ struct Fragment {
 
 @fragment
 fn fragment(in: Vertex) -> Fragment {
+#ifdef HALF
+    let at = 2.0 * in.position.xy + view.main_pass_viewport.xy;
+#else
     let at = in.position.xy;
+#endif
     let uv = (at - view.main_pass_viewport.xy) / view.main_pass_viewport.zw;
     let ndc = vec2(2.0 * uv.x - 1.0, 1.0 - 2.0 * uv.y);
     var ray = ray_through(smoke.bundle_from_clip, smoke.eye, smoke.half_extent, ndc);
@@ -291,6 +353,22 @@ fn fragment(in: Vertex) -> Fragment {
         ray.enter = max(ray.enter, distance_to(ray, ndc, in.slab.y));
     }
 #endif
+#ifdef HALF
+    let end = vec2<i32>(view.main_pass_viewport.xy + view.main_pass_viewport.zw) - 1;
+    var deepest = 1.0;
+    for (var i = 0; i < 4; i++) {
+        let pixel = min(vec2<i32>(at) - vec2(i & 1, i >> 1u), end);
+        deepest = min(deepest, textureLoad(depth_texture, pixel, 0));
+    }
+    let mesh = distance_to(ray, ndc, deepest);
+    var half: Fragment;
+    half.depth = depth_in_box(ray, mesh);
+    let leave = min(ray.leave, mesh);
+    if leave > ray.enter {
+        half.color = seen_through(ray, leave, footprint, in.glow_count);
+    }
+    return half;
+#else
     if ray.leave <= ray.enter {
         discard;
     }
@@ -315,12 +393,13 @@ fn fragment(in: Vertex) -> Fragment {
         farthest = max(farthest, other);
     }
     // One march serves all samples where their depths differ by less than it resolves.
-    let shared_by_all = max(farthest, ray.enter) - max(nearest, ray.enter) < 0.5 * smoke.cell;
+    let shared_by_all = max(farthest, ray.enter) - max(nearest, ray.enter) < smoke.step;
     if shared_by_all && in.sample > 0u {
         discard;
     }
 #else
-    leave = min(leave, distance_to(ray, ndc, textureLoad(depth_texture, vec2<i32>(at), 0)));
+    let mesh = distance_to(ray, ndc, textureLoad(depth_texture, vec2<i32>(at), 0));
+    leave = min(leave, mesh);
 #endif
     if leave <= ray.enter {
         discard;
@@ -331,13 +410,19 @@ fn fragment(in: Vertex) -> Fragment {
     // Lamps' glow, and what is behind, count once.
     let is_first = in.lights.x == 0u;
     let glow_count = select(0u, in.glow_count, is_first);
-    let marched = march(ray, leave, footprint, glow_count, first, in.lights, options, counts);
+    let seen = exposed(march(ray, leave, footprint, glow_count, first, in.lights, options, counts));
 #else
-    let marched = march(ray, leave, footprint, in.glow_count);
+#ifdef UPSAMPLED
+    var seen = upsampled(at - view.main_pass_viewport.xy, depth_in_box(ray, mesh));
+    if seen.a < 0.0 {
+        seen = seen_through(ray, leave, footprint, in.glow_count);
+    }
+#else
+    let seen = seen_through(ray, leave, footprint, in.glow_count);
 #endif
-    let opacity = 1.0 - marched.a;
-    // The target may be f16, which must not overflow.
-    var color = min(marched.rgb * smoke.radiance_scale, vec3(65504.0));
+#endif
+    let opacity = seen.a;
+    var color = seen.rgb;
 #ifdef TONEMAP_IN_SHADER
     // The target holds display colours: tone-map the smoke's own colour, as for any translucent material.
     color = opacity * tone_mapping(vec4(color / max(opacity, 1e-5), 1.0), view.color_grading).rgb;
@@ -351,4 +436,5 @@ fn fragment(in: Vertex) -> Fragment {
     out.mask = select(1u << in.sample, 0xffffffffu, shared_by_all);
 #endif
     return out;
+#endif
 }

@@ -91,7 +91,7 @@ fn mask_and_distance_map_change_nothing_but_the_time() {
         let smoke = smoke(&mut app);
         let settings = SmokeConstellation { lights: 4, shading, mask, skip_empty, ..default() };
         spawn((smoke, settings), &mut app);
-        // A mesh in the smoke ends some rays, and a pane of glass cuts it in slabs.
+        // A mesh in the smoke ends some rays.
         mesh(&mut app, Sphere::new(0.3), LinearRgba::rgb(0.1, 0.1, 0.1), Transform::from_xyz(0.2, 0.0, 0.0));
         draw(&mut app)
     };
@@ -106,6 +106,39 @@ fn mask_and_distance_map_change_nothing_but_the_time() {
             assert!(off < 0.005 * largest, "{shading:?}, mask {mask}, skip {skip_empty}: {}", off / largest);
         }
     }
+}
+
+#[test]
+fn draws_and_slabs_add_up() {
+    // 40 lights take three draws; a pane in the smoke that cannot be seen cuts it into two slabs.
+    let picture = |pane: bool, msaa: Msaa, lights: u32| {
+        let mut app = app();
+        let smoke = smoke(&mut app);
+        spawn((smoke, SmokeConstellation { lights, ..default() }), &mut app);
+        let world = app.app.world_mut();
+        let mut cameras = world.query_filtered::<&mut Msaa, With<Camera3d>>();
+        cameras.iter_mut(world).for_each(|mut samples| *samples = msaa);
+        if pane {
+            let mesh = world.resource_mut::<Assets<Mesh>>().add(Rectangle::new(4.0, 4.0));
+            let base_color = Color::linear_rgba(1.0, 1.0, 1.0, 0.0);
+            let material = StandardMaterial { base_color, alpha_mode: AlphaMode::Blend, unlit: true, ..default() };
+            let material = world.resource_mut::<Assets<StandardMaterial>>().add(material);
+            world.spawn((Mesh3d(mesh), MeshMaterial3d(material)));
+        }
+        draw(&mut app)
+    };
+    let black = vec![[0.0; 4]; (SIZE.x * SIZE.y) as usize];
+    let whole = picture(false, Msaa::Off, 40);
+    for (pane, msaa) in [(true, Msaa::Off), (true, Msaa::Sample4)] {
+        let off = rms(&picture(pane, msaa, 40), &whole) / rms(&whole, &black);
+        println!("pane {pane}, {msaa:?}: {off:.1e} off");
+        // Sums of halves.
+        assert!(off < 2e-3, "pane {pane}, {msaa:?}: {off}");
+    }
+    // And so many lights are the same sky as few.
+    let off = rms(&picture(false, Msaa::Off, 16), &whole) / rms(&whole, &black);
+    println!("16 lights for 40: {off:.3} off");
+    assert!(off < 0.04, "{off}");
 }
 
 #[test]

@@ -49,6 +49,7 @@ use crate::headless::{Headless, read_buffer, read_texture};
 use crate::medium::SmokeMedium;
 use crate::optics::erfcx;
 use crate::playback::Moment;
+use crate::quality::SmokeModel;
 use crate::rbf::{Rbf, RbfModel};
 use crate::reference::incident_light::{Incident, column, probes};
 use crate::reference::lamp::{Cone, Lamp, Lamps};
