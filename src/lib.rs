@@ -111,8 +111,8 @@ impl Plugin for SmokePlugin {
             .register_type::<medium::SmokeMedium>()
             .register_type::<lighting::SmokeEnvironment>()
             .register_type::<scattering::SmokeScattering>()
-            .register_type::<constellation::SmokeConstellation>()
             .register_type::<quality::SmokeQuality>()
+            .register_type::<constellation::SmokeConstellation>()
             .register_type::<shadows::SmokeShadows>()
             .register_type::<shadows::NoSmokeShadow>()
             .add_plugins((

@@ -74,9 +74,9 @@ pub struct RenderArgs {
     #[command(flatten)]
     solve: SolveArgs,
     #[command(flatten)]
-    constellation: ConstellationArgs,
-    #[command(flatten)]
     quality: QualityArgs,
+    #[command(flatten)]
+    constellation: ConstellationArgs,
     /// Writes what was done and what it cost, as JSON
     #[arg(long)]
     stats: Option<PathBuf>,
@@ -345,10 +345,11 @@ fn draw(job: Job) -> anyhow::Result<()> {
             cells,
             rbfs,
             // The paper looks from the centres alone, a constellation from nowhere.
-            probes: rbfs.filter(|_| constellation.is_none()).map(|rbfs| match paper {
-                Some(_) => rbfs,
-                None => model.probes as usize * rbfs.min(model.rbfs as usize),
-            }),
+            probes: match (constellation, paper) {
+                (Some(_), _) => None,
+                (_, Some(_)) => rbfs,
+                _ => rbfs.map(|rbfs| model.probes as usize * rbfs.min(model.rbfs as usize)),
+            },
             model: (paper.is_none() && constellation.is_none()).then(|| model.into()),
             constellation: constellation.map(Into::into),
             frames: args.frames,
@@ -401,8 +402,8 @@ fn choose_method(args: &RenderArgs) -> anyhow::Result<Choice<Method>> {
         asked => Choice { asked, used: asked, why: "asked for".into() },
     };
     args.solve.check(method.used, is_density(&args.input))?;
-    args.constellation.check(method.used)?;
     args.quality.check(method.used)?;
+    args.constellation.check(method.used)?;
     let traced = method.used == Method::Path;
     ensure!(traced || !args.path.is_given(), "--halves and --seed are for --method path");
     ensure!(!traced || args.frames == 1, "--frames: method path draws a scene once");

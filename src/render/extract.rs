@@ -57,8 +57,8 @@ pub(super) struct ExtractedVolume {
     pub medium: SmokeMedium,
     pub environment: SmokeEnvironment,
     pub scattering: SmokeScattering,
-    pub constellation: Option<SmokeConstellation>,
     pub model: SmokeModel,
+    pub constellation: Option<SmokeConstellation>,
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
     pub layers: RenderLayers,
@@ -200,8 +200,8 @@ pub(super) fn extract_smoke(
             medium: clamped,
             environment: environment.clone(),
             scattering: *scattering,
-            constellation: constellations.get(entity).ok().map(SmokeConstellation::clamped),
             model,
+            constellation: constellations.get(entity).ok().map(SmokeConstellation::clamped),
             #[cfg(feature = "reference")]
             paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),

@@ -296,8 +296,7 @@ pub(super) fn prepare_smoke(
                 };
                 let bind_group = constellations.see(key, view, &constellation_passes, &gpu, &mut constellation_work);
                 let draws = constellation::draws(&settings);
-                let half_resolution = false;
-                drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group, draws });
+                drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution: false, bind_group, draws });
                 continue;
             }
             let light = FrameLight {

@@ -275,16 +275,16 @@ impl SpecializedRenderPipeline for ViewPass {
     fn specialize(&self, key: ViewPassKey) -> RenderPipelineDescriptor {
         // Premultiplied: what is behind keeps the transmittance, 1 - alpha.
         let over = BlendComponent::OVER;
-        let volume_layout = match key.emission {
-            Emission::Constellation => &self.constellation_layout,
-            _ => &self.volume_layout,
-        };
         let target = |format, blend| Some(ColorTargetState { format, blend, write_mask: ColorWrites::ALL });
         let targets = match key.resolution {
             Resolution::Half => {
                 vec![target(half_resolution::COLOR_FORMAT, None), target(half_resolution::DEPTH_FORMAT, None)]
             }
             _ => vec![target(key.target_format, Some(BlendState { color: over, alpha: over }))],
+        };
+        let volume_layout = match key.emission {
+            Emission::Constellation => &self.constellation_layout,
+            _ => &self.volume_layout,
         };
         RenderPipelineDescriptor {
             label: Some(LABEL.into()),

@@ -190,11 +190,6 @@ fn near_light(glow: Glow, ray: Ray, leave: f32, footprint: vec2<f32>) -> vec3<f3
     return glow.color * (sum * sigma * exp(-sigma * b) * spot * spot);
 }
 
-// Exposed radiance, and opacity in alpha, of radiance and transmittance. The target may be f16, which must not overflow.
-fn exposed(marched: vec4<f32>) -> vec4<f32> {
-    return vec4(min(marched.rgb * smoke.radiance_scale, vec3(65504.0)), 1.0 - marched.a);
-}
-
 #ifdef CONSTELLATION
 
 // Radiance in RGB, transmittance in alpha. The i-th sample stands for what is between i and i + 1 steps from the eye; of the
@@ -279,12 +274,6 @@ fn march(ray: Ray, leave: f32, footprint: vec2<f32>, glow_count: u32) -> vec4<f3
     return vec4(radiance, transmittance);
 }
 
-fn seen_through(ray: Ray, leave: f32, footprint: vec2<f32>, glow_count: u32) -> vec4<f32> {
-    return exposed(march(ray, leave, footprint, glow_count));
-}
-
-#endif
-
 // How deep a pixel sees: where the mesh behind it is, over the radius of the sphere about the box, from -1, before, to 1,
 // behind the smoke.
 fn depth_in_box(ray: Ray, mesh: f32) -> f32 {
@@ -317,6 +306,11 @@ fn upsampled(at: vec2<f32>, depth: f32) -> vec4<f32> {
     return select(vec4(0.0, 0.0, 0.0, -1.0), sum / max(total, 1e-6), total >= ENOUGH);
 }
 #endif
+
+// Exposed radiance, and opacity in alpha, of what a march came to. The target may be f16, which must not overflow.
+fn exposed(marched: vec4<f32>) -> vec4<f32> {
+    return vec4(min(marched.rgb * smoke.radiance_scale, vec3(65504.0)), 1.0 - marched.a);
+}
 
 // Length of a pixel's diagonal, from its sides.
 fn diagonal(x: vec3<f32>, y: vec3<f32>) -> f32 {
@@ -365,7 +359,7 @@ fn fragment(in: Vertex) -> Fragment {
     half.depth = depth_in_box(ray, mesh);
     let leave = min(ray.leave, mesh);
     if leave > ray.enter {
-        half.color = seen_through(ray, leave, footprint, in.glow_count);
+        half.color = exposed(march(ray, leave, footprint, in.glow_count));
     }
     return half;
 #else
@@ -404,6 +398,12 @@ fn fragment(in: Vertex) -> Fragment {
     if leave <= ray.enter {
         discard;
     }
+#ifdef UPSAMPLED
+    var seen = upsampled(at - view.main_pass_viewport.xy, depth_in_box(ray, mesh));
+    if seen.a < 0.0 {
+        seen = exposed(march(ray, leave, footprint, in.glow_count));
+    }
+#else
 #ifdef CONSTELLATION
     let options = Options(in.options.x, in.options.y, in.options.z, in.options.w);
     let counts = Counts(in.counts.x, in.counts.y, in.counts.z);
@@ -412,13 +412,7 @@ fn fragment(in: Vertex) -> Fragment {
     let glow_count = select(0u, in.glow_count, is_first);
     let seen = exposed(march(ray, leave, footprint, glow_count, first, in.lights, options, counts));
 #else
-#ifdef UPSAMPLED
-    var seen = upsampled(at - view.main_pass_viewport.xy, depth_in_box(ray, mesh));
-    if seen.a < 0.0 {
-        seen = seen_through(ray, leave, footprint, in.glow_count);
-    }
-#else
-    let seen = seen_through(ray, leave, footprint, in.glow_count);
+    let seen = exposed(march(ray, leave, footprint, in.glow_count));
 #endif
 #endif
     let opacity = seen.a;
