@@ -225,7 +225,10 @@ pub(super) fn prepare_smoke(
                 continue;
             };
             let model = volume.model;
-            let frame = levels.of(volume_entity, frame, &volume.content, model.rbfs, *now, &gpu);
+            let frame = match volume.constellation {
+                Some(_) => frame,
+                None => levels.of(volume_entity, frame, &volume.content, model.rbfs, *now, &gpu),
+            };
 
             let key = (volume_entity, lit.key);
             let before = volumes.get(&key).map(|volume| volume.choice.multiple);
@@ -328,7 +331,6 @@ pub(super) fn prepare_smoke(
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
             if let Some(uniform) = seen(glows) {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
-                let (distance, depths) = (placed.distance(view), placed.depths(view));
                 let half_resolution = volume.draws_half_resolution();
                 drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group, draws: 1 });
             }
