@@ -18,6 +18,9 @@
 //! | `mesh_shadows` | both, coarse densities, spheres, depth, Bevy's lights and shadow maps | the view's meshes, shaded | view |
 //! | `view` | the 3D texture, the view's depth | the view's colours | view |
 //!
+//! Volumes with [`SmokeConstellation`](crate::constellation::SmokeConstellation) take three passes of their own, in
+//! `constellation`, in the place of those from pair matrix to volume.
+//!
 //! All but the last three are compute passes in Bevy's `RenderGraph` schedule, before the cameras' own, and run only when
 //! something they read has changed: a static scene dispatches none of them. The view pass runs in `Core3d` after the opaque
 //! pass and before the transparent one; where transparent meshes are behind smoke or in it, it is drawn among them

@@ -257,7 +257,10 @@ pub(super) fn prepare_smoke(
                 continue;
             };
             let model = qualities.model(volume_entity);
-            let frame = levels.of(volume_entity, frame, &volume.content, model.rbfs, *now, &gpu);
+            let frame = match volume.constellation {
+                Some(_) => frame,
+                None => levels.of(volume_entity, frame, &volume.content, model.rbfs, *now, &gpu),
+            };
 
             let key = (volume_entity, lit.key);
             let before = volumes.get(&key).map(|volume| volume.choice.multiple);
@@ -362,7 +365,6 @@ pub(super) fn prepare_smoke(
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
             if let Some(uniform) = seen(glows) {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
-                let (distance, depths) = (placed.distance(view), placed.depths(view));
                 let half_resolution = model.half_resolution && emission == Emission::Exact;
                 drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group, draws: 1 });
             }

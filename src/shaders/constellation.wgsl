@@ -40,7 +40,7 @@ struct Light {
 struct Constellation {
     // Radiance, the mean over all directions.
     mean: vec3<f32>,
-    lights: array<Light>,
+    lights: array<Light, 256>,
 }
 
 // Smoke that shines by itself, albedo times the mean radiance, as if light came from everywhere through nothing.
@@ -64,7 +64,7 @@ const OTHER_STEPS: u32 = 16u;
 @group(1) @binding(3) var<uniform> settings: Settings;
 @group(1) @binding(4) var<uniform> lighting: Lighting;
 @group(1) @binding(5) var<uniform> surroundings: Surroundings;
-@group(1) @binding(6) var<storage, read> constellation: Constellation;
+@group(1) @binding(6) var<uniform> constellation: Constellation;
 @group(1) @binding(7) var<storage, read> spheres: array<vec4<f32>>;
 // The casters' densities.
 @group(1) @binding(8) var densities: texture_3d<f32>;
@@ -158,7 +158,7 @@ fn source_radiance(
     var sum = vec3(0.0);
     for (var n = first; n < last; n++) {
         let light = constellation.lights[n];
-        // Fragments that run along for their neighbours' sake only may read zeros, and have no direction to go.
+        // As of the dark half of a sky.
         if all(light.color == vec3(0.0)) {
             continue;
         }

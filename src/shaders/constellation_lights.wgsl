@@ -29,7 +29,7 @@ struct Light {
 struct Constellation {
     // Radiance, the mean over all directions.
     mean: vec3<f32>,
-    lights: array<Light>,
+    lights: array<Light, THREADS>,
 }
 
 @group(0) @binding(0) var<uniform> cut: Cut;

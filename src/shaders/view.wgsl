@@ -274,6 +274,8 @@ fn march(ray: Ray, leave: f32, footprint: vec2<f32>, glow_count: u32) -> vec4<f3
     return vec4(radiance, transmittance);
 }
 
+#endif
+
 // How deep a pixel sees: where the mesh behind it is, over the radius of the sphere about the box, from -1, before, to 1,
 // behind the smoke.
 fn depth_in_box(ray: Ray, mesh: f32) -> f32 {

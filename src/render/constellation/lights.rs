@@ -6,8 +6,8 @@ use bevy::render::render_resource::binding_types::{
     sampler, storage_buffer_read_only_sized, storage_buffer_sized, texture_2d, texture_cube, uniform_buffer,
 };
 use bevy::render::render_resource::{
-    BindGroupLayoutEntries, Buffer, BufferId, PipelineCache, SamplerBindingType, ShaderStages, ShaderType,
-    TextureSampleType,
+    BindGroupLayoutEntries, Buffer, BufferDescriptor, BufferId, BufferUsages, PipelineCache, SamplerBindingType,
+    ShaderStages, ShaderType, TextureSampleType,
 };
 use bevy::render::renderer::RenderDevice;
 use bevy::shader::Shader;
@@ -34,11 +34,12 @@ pub(in crate::render) struct CutUniform {
     pub light_count: u32,
 }
 
-/// The `Light` of `constellation.wgsl`.
+/// The `Constellation` of `constellation.wgsl`.
 #[derive(ShaderType)]
-struct LightEntry {
-    _direction: Vec3,
-    _color: Vec3,
+pub(super) struct ConstellationUniform {
+    _mean: Vec3,
+    /// Direction and colour of every light.
+    _lights: [Vec4; 2 * SmokeConstellation::MAX_LIGHTS as usize],
 }
 
 /// The pass: one resampling for each kind of environment, and the median cut.
@@ -174,11 +175,14 @@ impl LightsPass {
 
 /// The grid, and the `Constellation` of `constellation.wgsl`.
 fn buffers(device: &RenderDevice) -> [Buffer; 2] {
-    let lights = u64::from(SmokeConstellation::MAX_LIGHTS) * LightEntry::min_size().get();
-    [
-        storage_buffer(device, "smoke_radiance_grid", 16 * u64::from(GRID.element_product())),
-        storage_buffer(device, "smoke_constellation", 16 + lights),
-    ]
+    let grid = storage_buffer(device, "smoke_radiance_grid", 16 * u64::from(GRID.element_product()));
+    let lights = device.create_buffer(&BufferDescriptor {
+        label: Some("smoke_constellation"),
+        size: ConstellationUniform::min_size().get(),
+        usage: BufferUsages::STORAGE | BufferUsages::UNIFORM | BufferUsages::COPY_SRC,
+        mapped_at_creation: false,
+    });
+    [grid, lights]
 }
 
 /// A constellation on the GPU.

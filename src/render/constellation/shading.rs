@@ -2,13 +2,14 @@
 
 use bevy::prelude::*;
 use bevy::render::render_resource::binding_types::{
-    sampler, storage_buffer_read_only_sized, texture_2d, texture_3d, uniform_buffer,
+    sampler, storage_buffer_read_only_sized, texture_2d, texture_3d, uniform_buffer, uniform_buffer_sized,
 };
 use bevy::render::render_resource::{
     BindGroup, BindGroupEntries, BindGroupLayoutDescriptor, BindGroupLayoutEntries, Buffer, BufferId,
     SamplerBindingType, ShaderStages, ShaderType, TextureSampleType, TextureView, TextureViewId,
 };
 
+use super::lights::ConstellationUniform;
 use super::mask::{self, MaskUniform};
 use super::{ConstellationPasses, ConstellationWork, View};
 use crate::constellation::ConstellationShading;
@@ -73,7 +74,7 @@ pub(in crate::render) fn layout() -> BindGroupLayoutDescriptor {
             uniform_buffer::<SettingsUniform>(false).visibility(both),
             uniform_buffer::<LightingUniform>(false).visibility(both),
             uniform_buffer::<SurroundingsUniform>(false).visibility(both),
-            storage_buffer_read_only_sized(false, None),
+            uniform_buffer_sized(false, Some(ConstellationUniform::min_size())),
             storage_buffer_read_only_sized(false, None),
             filtered(),
             texture_2d(TextureSampleType::Uint),
