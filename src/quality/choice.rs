@@ -168,7 +168,7 @@ mod tests {
             rbfs: 600.0,
             is_reducible: true,
             can_halve: true,
-            optical_radius: 0.3,
+            optical_radius: 0.1,
             g: 0.0,
             multiple: true,
             cells: 1e6,
