@@ -5,11 +5,17 @@ use clap::Args;
 use serde::Serialize;
 
 use super::render::Method;
-use crate::quality::{SmokeModel, SmokeQuality};
+use crate::quality::{QualityChoice, SmokeModel, SmokeQuality};
 
 /// What the light and the picture of method rbf are computed with; the most accurate unless given.
 #[derive(Args, Debug)]
 pub struct QualityArgs {
+    /// rbf: chooses all of the below, to be as cheap as it can with an error of so much (error:0.02 is 2 %), or as accurate
+    /// as it can in so many milliseconds of the GPU (budget:4)
+    #[arg(long, value_name = "error:E|budget:MS", value_parser = parse_quality, conflicts_with_all = [
+        "rbf_limit", "probes", "sh_order", "directions", "sweeps", "step", "half_resolution", "lighting_interval",
+    ])]
+    quality: Option<SmokeQuality>,
     /// rbf: RBFs that light is computed at, at most: so many stand for all
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     rbf_limit: Option<u32>,
@@ -39,18 +45,23 @@ pub struct QualityArgs {
 impl QualityArgs {
     /// Refuses options that the method does not have, and values out of range.
     pub(super) fn check(&self, method: Method) -> anyhow::Result<()> {
-        let SmokeQuality::Model(model) = self.quality();
+        let quality = self.quality();
         ensure!(
-            method == Method::Rbf || model == SmokeModel::FULL,
-            "--rbf-limit, --probes, --sh-order, --directions, --sweeps, --step, --half-resolution and --lighting-interval \
+            method == Method::Rbf || quality == SmokeQuality::default(),
+            "--quality, --rbf-limit, --probes, --sh-order, --directions, --sweeps, --step, --half-resolution and --lighting-interval \
              are for --method rbf"
         );
-        ensure!((0.25..=4.0).contains(&model.step), "--step {}: 0.25 to 4 cells", model.step);
+        if let Some(step) = self.step {
+            ensure!((0.25..=4.0).contains(&step), "--step {step}: 0.25 to 4 cells");
+        }
         Ok(())
     }
 
     /// What is asked for.
     pub(super) fn quality(&self) -> SmokeQuality {
+        if let Some(quality) = self.quality {
+            return quality;
+        }
         let full = SmokeModel::FULL;
         let number =
             |text: &Option<String>, default| text.as_ref().map_or(default, |text| text.parse().expect("listed"));
@@ -67,9 +78,42 @@ impl QualityArgs {
     }
 }
 
+fn parse_quality(text: &str) -> Result<SmokeQuality, String> {
+    let parse = |number: &str| number.parse().ok().filter(|number: &f32| *number > 0.0);
+    let quality = match text.split_once(':') {
+        Some(("error", most)) => parse(most).filter(|most| *most <= 1.0).map(SmokeQuality::Error),
+        Some(("budget", most)) => parse(most).map(SmokeQuality::Budget),
+        _ => None,
+    };
+    quality.ok_or(
+        "a quality is error:E with E above 0 and up to 1, or budget:MS in milliseconds: error:0.02, budget:4".into(),
+    )
+}
+
+/// The model that was drawn with, for `--stats`.
+#[derive(Serialize)]
+pub(super) struct QualityStats {
+    model: ModelStats,
+    /// Of the picture, relative and root mean square; of a frame in which everything changes.
+    predicted_error: f32,
+    predicted_ms: f32,
+    why: String,
+}
+
+impl From<QualityChoice> for QualityStats {
+    fn from(choice: QualityChoice) -> Self {
+        Self {
+            model: choice.model.into(),
+            predicted_error: choice.error,
+            predicted_ms: choice.milliseconds,
+            why: choice.to_string(),
+        }
+    }
+}
+
 /// A model, for `--stats`.
 #[derive(Serialize)]
-pub(super) struct ModelStats {
+struct ModelStats {
     /// At most; null where there is no limit.
     rbf_limit: Option<u32>,
     probes_an_rbf: u32,

@@ -9,10 +9,6 @@ use super::scene::Scene;
 use crate::reference::compare::image_error;
 use crate::reference::path::Events;
 
-/// The scenes of the reference folder whose light is smooth and whose camera sees all of the smoke.
-pub(super) const SCENES: [&str; 7] =
-    ["plume_paper", "plume_back", "plume_hg042", "plume_thin", "plume_dense", "smoke_real", "smoke_real_hdr"];
-
 /// The folder that `--references` names; where it is missing, what to do.
 pub(super) fn folder(given: Option<&Path>) -> anyhow::Result<&Path> {
     let Some(folder) = given else {

@@ -18,7 +18,7 @@ use super::exr_io::{ExrImage, encode_rgba};
 use super::input::{Smoke, is_density};
 use super::output::OutputFile;
 use super::path::{self, PathArgs};
-use super::quality::{ModelStats, QualityArgs};
+use super::quality::{QualityArgs, QualityStats};
 use super::scene::{Environment, Scene, SceneLight};
 use super::solve::{PaperStats, SolveArgs, Solver};
 use super::surfaces::{cast_shadows, environment_map, spawn_surfaces};
@@ -160,7 +160,7 @@ struct Stats {
     /// That light is computed at.
     probes: Option<usize>,
     /// What the light and the picture of method rbf were computed with; null with another.
-    model: Option<ModelStats>,
+    quality: Option<QualityStats>,
     frames: u32,
     /// Median milliseconds of a whole frame after the first, by the clock, GPU work included; null where there were none.
     steady_frame_ms: Option<f64>,
@@ -269,9 +269,7 @@ fn draw(job: Job) -> anyhow::Result<()> {
     let scattering =
         SmokeScattering { events: args.scattering.into(), solver: args.solve.solver().into(), ..default() };
     let (volume, unit) = spawn_scene(&mut headless, &scene, smoke, args.solve.lattice(), scattering, kind)?;
-    let quality = args.quality.quality();
-    headless.app.world_mut().entity_mut(volume).insert(quality);
-    let SmokeQuality::Model(model) = quality;
+    headless.app.world_mut().entity_mut(volume).insert(args.quality.quality());
     if let Some(paper) = paper {
         headless.app.world_mut().entity_mut(volume).insert(paper);
         if scene.has_surfaces() {
@@ -326,6 +324,8 @@ fn draw(job: Job) -> anyhow::Result<()> {
         });
         let world = headless.app.world();
         let choice = world.resource::<SmokeRenderStats>().scattering(volume);
+        let quality = world.resource::<SmokeRenderStats>().quality(volume);
+        let model = quality.map_or(SmokeModel::FULL, |choice| choice.model);
         let adapter = world.resource::<RenderAdapterInfo>();
         let stats = Stats {
             adapter: adapter.name.clone(),
@@ -350,7 +350,7 @@ fn draw(job: Job) -> anyhow::Result<()> {
                 (_, Some(_)) => rbfs,
                 _ => rbfs.map(|rbfs| model.probes as usize * rbfs.min(model.rbfs as usize)),
             },
-            model: (paper.is_none() && constellation.is_none()).then(|| model.into()),
+            quality: quality.filter(|_| paper.is_none() && constellation.is_none()).map(QualityStats::from),
             constellation: constellation.map(Into::into),
             frames: args.frames,
             steady_frame_ms: median(frame_ms),
@@ -495,7 +495,7 @@ pub(super) fn spawn_camera(headless: &mut Headless, scene: &Scene) -> Entity {
 }
 
 /// Turns the environment of a volume about the vertical.
-fn turn_light(world: &mut World, volume: Entity, angle: f64) {
+pub(super) fn turn_light(world: &mut World, volume: Entity, angle: f64) {
     let Some(mut environment) = world.get_mut::<SmokeEnvironment>(volume) else { return };
     match &mut *environment {
         SmokeEnvironment::Coefficients { coefficients, .. } => {

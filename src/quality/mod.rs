@@ -1,6 +1,17 @@
-//! How much is computed for a volume's picture: the parts of the model that can be had for less.
+//! How much is computed for a volume's picture: the parts of the model that can be had for less, and which of them to take.
+//!
+//! Cost and error of a model are predicted by two small formulas ([`model`]), fitted to measurements. Where
+//! `RenderDiagnosticsPlugin` measures the passes, predicted times follow the GPU at hand.
+
+mod choice;
+mod coefficients;
+pub mod model;
 
 use bevy::prelude::*;
+
+pub use choice::QualityChoice;
+pub(crate) use choice::{Pace, SteadyChoice};
+pub(crate) use model::{Milliseconds, Setting};
 
 /// How much is computed for a volume of smoke; beside every [`SmokeVolume`](crate::volume::SmokeVolume).
 #[derive(Component, Clone, Copy, Debug, PartialEq, Reflect)]
@@ -8,6 +19,24 @@ use bevy::prelude::*;
 pub enum SmokeQuality {
     /// As said.
     Model(SmokeModel),
+    /// The cheapest model whose picture is predicted to be this close: relative RMS error over the smoke's pixels, 0.02 being
+    /// two percent.
+    Error(f32),
+    /// The most accurate model that is predicted to take at most so many milliseconds of the GPU in a frame in which all of
+    /// the volume changes, all views together.
+    Budget(f32),
+}
+
+impl SmokeQuality {
+    /// The same with every value inside its range; what is not a number asks for the full model.
+    pub fn clamped(&self) -> Self {
+        match *self {
+            Self::Model(model) => Self::Model(model.clamped()),
+            Self::Error(most) | Self::Budget(most) if most.is_nan() => Self::default(),
+            Self::Error(most) => Self::Error(most.clamp(0.0, 1.0)),
+            Self::Budget(most) => Self::Budget(most.clamp(0.0, 1e6)),
+        }
+    }
 }
 
 impl Default for SmokeQuality {

@@ -2,6 +2,7 @@
 
 use bevy::asset::AssetId;
 use bevy::camera::visibility::RenderLayers;
+use bevy::diagnostic::DiagnosticsStore;
 use bevy::light::{NotShadowCaster, RectLight};
 use bevy::math::Affine3A;
 use bevy::mesh::skinning::SkinnedMesh;
@@ -14,6 +15,7 @@ use bevy::render::texture::GpuImage;
 
 use super::lamp::Lamp;
 use super::live::Live;
+use super::quality;
 use super::view::Emission;
 use crate::constellation::SmokeConstellation;
 use crate::density::GridShape;
@@ -23,7 +25,7 @@ use crate::occluder::SmokeOccluder;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
 use crate::playback::{Moment, SmokeMoment};
-use crate::quality::{SmokeModel, SmokeQuality};
+use crate::quality::{Milliseconds, SmokeModel, SmokeQuality};
 use crate::scattering::SmokeScattering;
 use crate::shadows::SmokeShadows;
 use crate::sun::EnvironmentSuns;
@@ -41,6 +43,8 @@ pub(super) struct ExtractedSmoke {
     /// Whether a camera sees the shadows of spheres on meshes, smoke or no smoke.
     pub meshes_shade_meshes: bool,
     pub suns: EnvironmentSuns,
+    /// What the passes have taken of late, where that is measured.
+    pub measured: Option<Milliseconds>,
 }
 
 impl ExtractedSmoke {
@@ -57,7 +61,7 @@ pub(super) struct ExtractedVolume {
     pub medium: SmokeMedium,
     pub environment: SmokeEnvironment,
     pub scattering: SmokeScattering,
-    pub model: SmokeModel,
+    pub quality: SmokeQuality,
     pub constellation: Option<SmokeConstellation>,
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
@@ -93,9 +97,10 @@ impl Content {
 }
 
 impl ExtractedVolume {
-    /// Whether it is drawn at half resolution where that can be.
-    pub fn draws_half_resolution(&self) -> bool {
-        self.model.half_resolution && self.emission() == Emission::Exact
+    /// Whether it may be drawn at half resolution.
+    pub fn may_draw_half(&self) -> bool {
+        !matches!(self.quality, SmokeQuality::Model(SmokeModel { half_resolution: false, .. }))
+            && self.emission() == Emission::Exact
     }
 
     /// What the view pass is to make of its 3D texture.
@@ -170,12 +175,14 @@ pub(super) fn extract_smoke(
     spots: Extract<LampQuery<SpotLight>>,
     areas: Extract<Query<(), With<RectLight>>>,
     environment_suns: Extract<Res<EnvironmentSuns>>,
+    diagnostics: Extract<Option<Res<DiagnosticsStore>>>,
     (occluders, transforms): (
         Extract<Query<(&SmokeOccluder, &GlobalTransform, Option<&SkinnedMesh>, Option<&InheritedVisibility>)>>,
         Extract<Query<&GlobalTransform>>,
     ),
 ) {
     smoke.volumes.clear();
+    smoke.measured = diagnostics.as_ref().and_then(|diagnostics| quality::measured(diagnostics));
     for (entity, volume, moment, medium, environment, scattering, quality, transform, layers, visibility, no_caster) in
         &volumes
     {
@@ -189,10 +196,10 @@ pub(super) fn extract_smoke(
         if clamped != *medium {
             warn_once!("{medium:?} of smoke volume {entity} is out of range: it is drawn as {clamped:?} (said once)");
         }
-        let SmokeQuality::Model(asked) = *quality;
-        let model = asked.clamped();
-        if model != asked {
-            warn_once!("{asked:?} of smoke volume {entity} is out of range: it is drawn with {model:?} (said once)");
+        let asked = *quality;
+        let quality = asked.clamped();
+        if quality != asked {
+            warn_once!("{asked:?} of smoke volume {entity} is out of range: it is drawn with {quality:?} (said once)");
         }
         let extracted = ExtractedVolume {
             content,
@@ -200,7 +207,7 @@ pub(super) fn extract_smoke(
             medium: clamped,
             environment: environment.clone(),
             scattering: *scattering,
-            model,
+            quality,
             constellation: constellations.get(entity).ok().map(SmokeConstellation::clamped),
             #[cfg(feature = "reference")]
             paper: papers.get(entity).ok().copied(),

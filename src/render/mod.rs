@@ -61,6 +61,7 @@ mod paper;
 mod pass;
 mod placed;
 mod prepare;
+mod quality;
 mod scattering;
 mod shading;
 mod shadow_mask;

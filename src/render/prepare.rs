@@ -37,7 +37,9 @@ use super::moments::Moments;
 #[cfg(feature = "reference")]
 use super::paper;
 use super::placed::{Placed, warn_of_limits};
+use super::quality::Qualities;
 use super::shading::{ShadedBy, Shading, casting};
+use super::slabs::ViewSlabs;
 use super::surroundings::{Around, Surroundings};
 use super::view::{Emission, Glow, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokeMemory, SmokePasses, SmokeRenderStats, SmokeWork};
@@ -55,6 +57,7 @@ pub(super) struct SmokeCache {
     environments: Environments,
     frames: Frames,
     levels: Levels,
+    qualities: Qualities,
     volumes: HashMap<(MainEntity, LightKey), LitVolume>,
     casters: Casters,
     shading: Shading,
@@ -147,6 +150,7 @@ pub(super) fn prepare_smoke(
     images: Res<RenderAssets<GpuImage>>,
     views: Query<(Entity, &ExtractedView, &ExtractedCamera, &RenderVisibleEntities), With<Camera3d>>,
     projections: Query<(Option<&TemporalJitter>, Option<&MainPassResolutionOverride>), With<Camera3d>>,
+    targets: Query<(&Msaa, Has<MainPassResolutionOverride>, Has<ViewSlabs>), With<Camera3d>>,
     device: Res<RenderDevice>,
     queue: Res<RenderQueue>,
     pipelines: Res<PipelineCache>,
@@ -159,8 +163,18 @@ pub(super) fn prepare_smoke(
     ),
 ) {
     work.clear();
-    let SmokeCache { frame: now, environments, frames, levels, volumes, casters, shading, surroundings, shared } =
-        &mut *smoke_cache;
+    let SmokeCache {
+        frame: now,
+        environments,
+        frames,
+        levels,
+        qualities,
+        volumes,
+        casters,
+        shading,
+        surroundings,
+        shared,
+    } = &mut *smoke_cache;
     *now = now.wrapping_add(1);
     let changed = || changed_images.added.iter().chain(&changed_images.modified);
     environments.begin(*now, changed());
@@ -203,12 +217,30 @@ pub(super) fn prepare_smoke(
         casters.add(entity, &placed, placed.sigma(volume), frame, &mut work);
     }
 
+    // The light of a volume is for all views: they have to be known before.
+    qualities.begin();
+    for (view_entity, view, _, visible) in &views {
+        let can_halve = targets
+            .get(view_entity)
+            .is_ok_and(|(msaa, is_overridden, has_slabs)| msaa.samples() == 1 && !is_overridden && !has_slabs);
+        for &entity in volumes_in(visible) {
+            // A constellation is a method of its own.
+            let volume = smoke.volumes.get(&entity).filter(|volume| volume.constellation.is_none());
+            let Some(volume) = volume else { continue };
+            let Some(frame) = frames.show(entity, volume, &images, &gpu, &mut work) else { continue };
+            let Some(placed) = Placed::new(entity, volume, frame.shape) else { continue };
+            let Some(coverage) = placed.coverage(view) else { continue };
+            let multiple = placed.choose_scattering(volume, frame, None, &device).multiple;
+            qualities.see(entity, (volume, &placed, frame), multiple, &coverage, can_halve);
+        }
+    }
+    qualities.choose(|entity| &smoke.volumes[&entity], smoke.measured, &stats);
+
     for (view_entity, view, camera, visible) in &views {
         let mut drawn = Vec::new();
         let (jitter, resolution) = projections.get(view_entity).unwrap_or_default();
         let clip_from_view = jittered(view, jitter, resolution);
-        let visible = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
-        for &(_, volume_entity) in visible {
+        for &volume_entity in volumes_in(visible) {
             let Some(volume) = smoke.volumes.get(&volume_entity) else {
                 continue;
             };
@@ -224,7 +256,7 @@ pub(super) fn prepare_smoke(
             let Some(placed) = Placed::new(volume_entity, volume, frame.shape) else {
                 continue;
             };
-            let model = volume.model;
+            let model = qualities.model(volume_entity);
             let frame = match volume.constellation {
                 Some(_) => frame,
                 None => levels.of(volume_entity, frame, &volume.content, model.rbfs, *now, &gpu),
@@ -271,7 +303,9 @@ pub(super) fn prepare_smoke(
             let glows = Glow::all(&uniform, placed.shape.half_extent());
             let densities = casters.densities().unwrap_or(&shared.nothing);
             let eye = placed.eye(view);
-            let seen = |glows| placed.smoke_uniform(view, clip_from_view, eye, volume, unit * camera.exposure, glows);
+            let seen = |glows| {
+                placed.smoke_uniform(view, clip_from_view, eye, (volume, &model), unit * camera.exposure, glows)
+            };
             let (distance, depths) = (placed.distance(view), placed.depths(view));
             if let Some(settings) = volume.constellation {
                 // Where smoke shines by itself no lamps do.
@@ -331,7 +365,7 @@ pub(super) fn prepare_smoke(
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
             if let Some(uniform) = seen(glows) {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
-                let half_resolution = volume.draws_half_resolution();
+                let half_resolution = model.half_resolution && emission == Emission::Exact;
                 drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group, draws: 1 });
             }
         }
@@ -363,7 +397,8 @@ pub(super) fn prepare_smoke(
     frames.live.retain(in_use, exists);
     stats.set_memory(frames.memory());
     levels.retain(in_use);
-    stats.retain_scattering(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
+    qualities.retain(exists);
+    stats.retain_volumes(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
     constellations.retain(in_use);
     surroundings.retain(|key, _| volumes.contains_key(key) || constellations.has(key));
@@ -373,6 +408,12 @@ pub(super) fn prepare_smoke(
             sliced.seen.retain(|_, seen| in_use(seen.last_used));
         }
     }
+}
+
+/// The volumes that a view sees.
+fn volumes_in(visible: &RenderVisibleEntities) -> impl Iterator<Item = &MainEntity> {
+    let class = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
+    class.iter().map(|(_, volume)| volume)
 }
 
 /// The projection that a view's meshes are drawn with: moved by a part of a pixel under temporal anti-aliasing.

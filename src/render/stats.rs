@@ -7,6 +7,7 @@ use bevy::prelude::*;
 use bevy::render::sync_world::MainEntity;
 
 use super::pass::DispatchCounter;
+use crate::quality::QualityChoice;
 use crate::scattering::ScatteringChoice;
 
 const PASS_COUNT: usize = 18 + cfg!(feature = "reference") as usize;
@@ -39,6 +40,7 @@ pub struct SmokeRenderStats {
     pub(crate) view: DispatchCounter,
     memory: Arc<Mutex<SmokeMemory>>,
     scattering_choices: Arc<Mutex<EntityHashMap<ScatteringChoice>>>,
+    quality_choices: Arc<Mutex<EntityHashMap<QualityChoice>>>,
 }
 
 /// The moments of smoke on the GPU, which volumes that show the same one share, and the residuals of the baked frames that
@@ -100,8 +102,23 @@ impl SmokeRenderStats {
         }
     }
 
+    /// What model a volume is drawn with, what that is predicted to cost and how far off it is, and why; None before it is
+    /// first seen.
+    pub fn quality(&self, volume: Entity) -> Option<QualityChoice> {
+        self.quality_choices.lock().ok()?.get(&volume).copied()
+    }
+
+    pub(super) fn set_quality(&self, volume: MainEntity, choice: QualityChoice) {
+        if let Ok(mut choices) = self.quality_choices.lock() {
+            choices.insert(volume.id(), choice);
+        }
+    }
+
     /// Forgets volumes that are gone.
-    pub(super) fn retain_scattering(&self, exists: impl Fn(Entity) -> bool) {
+    pub(super) fn retain_volumes(&self, exists: impl Fn(Entity) -> bool) {
+        if let Ok(mut choices) = self.quality_choices.lock() {
+            choices.retain(|volume, _| exists(*volume));
+        }
         if let Ok(mut choices) = self.scattering_choices.lock() {
             choices.retain(|volume, _| exists(*volume));
         }

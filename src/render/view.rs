@@ -422,7 +422,7 @@ pub(super) fn prepare_view_pipelines(
         With<Camera3d>,
     >,
 ) {
-    let wants_half = smoke.volumes.values().any(|volume| volume.draws_half_resolution());
+    let wants_half = smoke.volumes.values().any(|volume| volume.may_draw_half());
     let mut specialize = |key: ViewPassKey| Pipelines {
         exact: pipelines.specialize(&cache, &pass, key),
         #[cfg(feature = "reference")]

@@ -47,17 +47,26 @@ fn less_model_changes_the_picture_a_little() {
     }
 }
 
-/// At half resolution smoke ends at the meshes in it, before it and behind it as it does at full resolution.
+/// At half resolution smoke ends at the meshes in it, before it and behind it as it does at full resolution: what is off is
+/// off where smoke itself changes from pixel to pixel, no more with meshes than without.
 #[test]
 fn half_resolution_keeps_the_edges_of_meshes() {
-    let size = UVec2::new(161, 120);
-    let picture = |half_resolution: bool, msaa: Msaa| {
+    let size = UVec2::new(241, 180);
+    let blue = LinearRgba::rgb(0.125, 0.125, 1.0);
+    let picture = |half_resolution: bool, with_meshes: bool, msaa: Msaa| {
         let mut app = Headless::new(size, TextureFormat::Rgba16Float).unwrap();
-        let colors = [LinearRgba::rgb(0.1, 0.1, 1.0), LinearRgba::rgb(1.0, 0.8, 0.1), LinearRgba::rgb(0.1, 0.7, 0.1)];
-        let tilt = Quat::from_rotation_z(0.3);
-        mesh(&mut app, Rectangle::new(0.3, 2.0), colors[0], Transform::from_xyz(0.5, 0.0, 1.7).with_rotation(tilt));
-        mesh(&mut app, Rectangle::new(1.0, 2.0), colors[1], Transform::from_xyz(-0.4, 0.3, -1.7).with_rotation(tilt));
-        mesh(&mut app, Sphere::new(0.3), colors[2], Transform::from_xyz(0.0, 0.2, 0.1));
+        if with_meshes {
+            let colors = [blue, LinearRgba::rgb(1.0, 0.8, 0.1), LinearRgba::rgb(0.1, 0.7, 0.1)];
+            let tilt = Quat::from_rotation_z(0.3);
+            mesh(&mut app, Rectangle::new(0.3, 2.0), colors[0], Transform::from_xyz(0.5, 0.0, 1.7).with_rotation(tilt));
+            mesh(
+                &mut app,
+                Rectangle::new(1.0, 2.0),
+                colors[1],
+                Transform::from_xyz(-0.4, 0.3, -1.7).with_rotation(tilt),
+            );
+            mesh(&mut app, Sphere::new(0.3), colors[2], Transform::from_xyz(0.0, 0.2, 0.1));
+        }
         let volume = smoke(&mut app);
         let quality = SmokeQuality::Model(SmokeModel { half_resolution, ..FULL });
         app.app.world_mut().spawn((volume, quality));
@@ -66,24 +75,28 @@ fn half_resolution_keeps_the_edges_of_meshes() {
         app.app.world_mut().entity_mut(camera).insert(msaa);
         draw(&mut app)
     };
-    let (full, half) = (picture(false, Msaa::Off), picture(true, Msaa::Off));
+    // How far half resolution is off: root mean square over that of the picture, and the most at any pixel.
+    let compare = |full: &[[f32; 4]], half: &[[f32; 4]]| {
+        let apart = |(a, b): (&[f32; 4], &[f32; 4])| (0..4).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
+        let level = rms(full, &vec![[0.0; 4]; full.len()]);
+        (rms(full, half) / level, full.iter().zip(half).map(apart).fold(0.0, f32::max))
+    };
+    let (full, half) = (picture(false, true, Msaa::Off), picture(true, true, Msaa::Off));
     save_radiance("half_resolution", size, &half);
-    save_radiance("full_resolution", size, &full);
-    let apart = |i: usize| (0..4).map(|c| (full[i][c] - half[i][c]).abs()).fold(0.0, f32::max);
-    // The mesh in front keeps its colour to the last bit: nothing leaks before it.
-    let in_front: Vec<usize> =
-        (0..full.len()).filter(|&i| full[i][..3] == [0.1, 0.1, 1.0].map(|v| half::f16::from_f32(v).to_f32())).collect();
-    assert!(in_front.len() > 300, "{}", in_front.len());
-    assert!(in_front.iter().all(|&i| apart(i) == 0.0));
-    let level = rms(&full, &vec![[0.0; 4]; full.len()]);
-    let error = rms(&full, &half) / level;
-    // An edge at which smoke leaked would be off by as much as the smoke before or behind is bright, 0.2 and more.
-    let worst = (0..full.len()).map(apart).fold(0.0, f32::max);
+    let (error, worst) = compare(&full, &half);
+    let (alone, worst_alone) = compare(&picture(false, false, Msaa::Off), &picture(true, false, Msaa::Off));
     println!("half resolution: {:.2} % off, {worst:.3} at most", 100.0 * error);
-    assert!(error > 0.0 && error < 0.01, "{error}");
-    assert!(worst < 0.1, "{worst}");
+    println!("without meshes: {:.2} % off, {worst_alone:.3} at most", 100.0 * alone);
+    assert!(error > 0.0 && error < 0.02, "{error}");
+    // An edge at which smoke leaked would be off by as much as the smoke before or behind it is bright, 0.5 and more.
+    assert!(worst < 1.05 * worst_alone && worst < 0.25, "{worst}, {worst_alone} without meshes");
+    // The mesh in front keeps its colour to the last bit: nothing leaks before it.
+    let is_in_front = |pixel: &[f32; 4]| pixel[..3] == blue.to_f32_array()[..3];
+    let in_front = full.iter().zip(&half).filter(|(pixel, _)| is_in_front(pixel));
+    assert!(in_front.clone().count() > 1000);
+    assert!(in_front.clone().all(|(full, half)| full == half));
     // With MSAA there is no half resolution.
-    assert_eq!(picture(false, Msaa::Sample4), picture(true, Msaa::Sample4));
+    assert_eq!(picture(false, true, Msaa::Sample4), picture(true, true, Msaa::Sample4));
 }
 
 /// Light waits for its turn; density and the view do not.

@@ -13,8 +13,9 @@ const PANEL: (u32, u32) = (460, 380);
 const HEAD: u32 = 74;
 
 /// Methods in the order of the legend, their names and colours.
-const METHODS: [(Method, &str, RGBColor); 6] = [
+const METHODS: [(Method, &str, RGBColor); 7] = [
     (Method::Rbf, "rbf: RBFs with probes", RGBColor(20, 90, 180)),
+    (Method::Auto, "auto: rbf, error asked for", RGBColor(230, 140, 20)),
     (Method::Live, "rbf on raw density: lattice", RGBColor(30, 160, 160)),
     (Method::Paper, "paper: Zhou et al. 2008", RGBColor(200, 60, 40)),
     (Method::Constellation, "constellation: Navarro et al. 2008", RGBColor(140, 70, 170)),
@@ -125,6 +126,7 @@ fn mark(area: &Drawing, method: Method, at: (i32, i32), color: RGBColor) -> Resu
     let filled = color.filled();
     match method {
         Method::Rbf => area.draw(&Circle::new(at, 4, filled))?,
+        Method::Auto => area.draw(&Circle::new(at, 6, color.stroke_width(2)))?,
         Method::Live => area.draw(&Circle::new(at, 4, color.stroke_width(2)))?,
         Method::Paper => area.draw(&TriangleMarker::new(at, 5, filled))?,
         Method::Constellation => area.draw(&Rectangle::new([(at.0 - 4, at.1 - 4), (at.0 + 4, at.1 + 4)], filled))?,

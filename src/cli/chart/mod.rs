@@ -61,6 +61,8 @@ pub struct ChartArgs {
 pub enum Method {
     /// RBFs with probes, baked
     Rbf,
+    /// The same with what the plug-in chooses for an error that is asked for
+    Auto,
     /// The same with a lattice of RBFs through raw density
     Live,
     /// Zhou et al. 2008 as printed

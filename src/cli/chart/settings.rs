@@ -9,6 +9,8 @@ use crate::prelude::*;
 pub(super) enum Setting {
     /// RBFs baked, and what their light is computed with.
     Rbf { rbfs: usize, model: SmokeModel, name: String },
+    /// The error that is asked for, of a bundle of [`AUTO`] RBFs.
+    Auto { error: f32 },
     /// Cells of the lattice.
     Live { lattice: u32 },
     /// RBFs baked, and bands of the light from all around.
@@ -25,6 +27,8 @@ pub(super) enum Setting {
 const COUNTS: [usize; 6] = [50, 100, 200, 300, 600, 1000];
 /// Those of the settings that vary something else.
 const COUNT: usize = 300;
+/// Those that a model is chosen for.
+const AUTO: usize = 600;
 
 impl Setting {
     /// Every one.
@@ -42,6 +46,7 @@ impl Setting {
         let cheap = SmokeModel { directions: 16, step: 1.0, half_resolution: true, ..full };
         all.push(rbf(100, cheap, "coarse, half"));
         all.push(rbf(COUNT, SmokeModel { half_resolution: true, ..full }, "half"));
+        all.extend([0.05, 0.02, 0.01].map(|error| Self::Auto { error }));
         all.extend([6, 8, 12, 16].map(|lattice| Self::Live { lattice }));
         all.extend(COUNTS.map(|rbfs| Self::Paper { rbfs, order: 4 }));
         all.extend([1, 2, 3].map(|order| Self::Paper { rbfs: COUNT, order }));
@@ -55,6 +60,7 @@ impl Setting {
     pub fn method(&self) -> Method {
         match self {
             Self::Rbf { .. } => Method::Rbf,
+            Self::Auto { .. } => Method::Auto,
             Self::Live { .. } => Method::Live,
             Self::Paper { .. } => Method::Paper,
             Self::Constellation { .. } => Method::Constellation,
@@ -67,6 +73,7 @@ impl Setting {
     pub fn name(&self) -> String {
         match self {
             Self::Rbf { name, .. } => name.clone(),
+            Self::Auto { error } => format!("{} %", 100.0 * error),
             Self::Live { lattice } => format!("lattice {lattice}"),
             Self::Paper { rbfs, order: 4 } => rbfs.to_string(),
             Self::Paper { rbfs, order } => format!("{rbfs} order {order}"),
@@ -81,6 +88,7 @@ impl Setting {
     pub fn baked_rbfs(&self) -> Option<usize> {
         match self {
             Self::Rbf { rbfs, .. } | Self::Paper { rbfs, .. } => Some(*rbfs),
+            Self::Auto { .. } => Some(AUTO),
             _ => None,
         }
     }

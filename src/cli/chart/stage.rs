@@ -32,7 +32,7 @@ const RAYS: u32 = 2;
 /// Radians that the light turns by from frame to frame: enough to be lit anew, and not to be seen.
 const TURN: f64 = 1e-4;
 /// Frames without smoke, whose median is taken off the others'.
-const EMPTY_FRAMES: usize = 9;
+const EMPTY_FRAMES: u32 = 9;
 
 /// What a point is drawn of.
 pub(super) struct Inputs<'a> {
@@ -99,13 +99,13 @@ impl Stage {
         let camera = spawn_camera(&mut self.headless, inputs.scene);
         self.headless.app.world_mut().entity_mut(camera).insert(RenderLayers::default());
         if self.empty_ms == 0.0 {
-            (0..EMPTY_FRAMES).for_each(|_| drop(self.frame()));
+            self.wait(EMPTY_FRAMES);
             let times = (0..EMPTY_FRAMES).map(|_| self.frame()).collect();
             self.empty_ms = median(times).unwrap_or_default();
         }
         let (subjects, unit) = self.spawn(setting, inputs, events, camera)?;
         // Assets have to reach the GPU, pipelines to be made.
-        (0..5).for_each(|_| drop(self.frame()));
+        self.wait(5);
         let pixels = average(&self.headless.float_pixels(), self.pixels, RAYS, unit);
         self.headless.app.world_mut().resource_mut::<DiagnosticsStore>().iter_mut().for_each(Diagnostic::clear_history);
         let mut times = Vec::new();
@@ -119,7 +119,7 @@ impl Stage {
             world.despawn(entity);
         }
         // Let go of before the next one comes.
-        (0..2).for_each(|_| drop(self.frame()));
+        self.wait(2);
         let rgb = pixels.into_iter().map(|[r, g, b, _]| [r, g, b]).collect();
         let ms = (median(times).unwrap_or_default() - self.empty_ms).max(1e-3);
         Ok(Drawn { halves: [rgb, Vec::new()], ms, gpu_ms })
@@ -163,11 +163,12 @@ impl Stage {
                 SmokeDensity::Live(LiveDensity { lattice, max_density: grid.max(), ..LiveDensity::new(image) })
             }
         };
-        let playback = SmokePlayback { paused: true, ..SmokePlayback::once() };
+        let playback = SmokePlayback::at_frame(0);
         let smoke = (SmokeVolume { density }, playback, scattering, medium(scene), environment, transform);
         let mut volume = world.spawn(smoke);
         match setting {
             Setting::Rbf { model, .. } => drop(volume.insert(SmokeQuality::Model(*model))),
+            Setting::Auto { error } => drop(volume.insert(SmokeQuality::Error(*error))),
             Setting::Paper { .. } => drop(volume.insert(SmokePaper::default())),
             Setting::Constellation { lights } => {
                 volume.insert(SmokeConstellation { lights: *lights, ..default() });
@@ -195,6 +196,13 @@ impl Stage {
         }
     }
 
+    /// Draws so many frames.
+    fn wait(&mut self, frames: u32) {
+        for _ in 0..frames {
+            self.frame();
+        }
+    }
+
     /// Draws a frame, to its end; milliseconds.
     fn frame(&mut self) -> f64 {
         let start = Instant::now();
@@ -206,7 +214,7 @@ impl Stage {
     /// Sum of the medians of the passes that ran, where all of them have times.
     fn gpu_ms(&mut self) -> Option<f64> {
         // They arrive a few frames late.
-        (0..4).for_each(|_| drop(self.frame()));
+        self.wait(4);
         let diagnostics = self.headless.app.world().resource::<DiagnosticsStore>();
         let times = SmokeRenderStats::PASSES.iter().filter_map(|pass| {
             let path = DiagnosticPath::new(format!("render/{pass}/elapsed_gpu"));
