@@ -55,6 +55,8 @@ pub mod lighting;
 pub mod medium;
 pub mod occluder;
 pub mod optics;
+#[cfg(feature = "egui")]
+pub mod panel;
 #[cfg(feature = "reference")]
 pub mod paper;
 pub mod playback;
