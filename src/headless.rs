@@ -67,6 +67,20 @@ impl Headless {
     ///
     /// Those of [`new`](Self::new).
     pub fn with_assets(size: UVec2, format: TextureFormat, folder: String) -> Result<Self, HeadlessError> {
+        Self::with_plugins(size, format, folder, |_| {})
+    }
+
+    /// The same with plug-ins of the caller's, added after all others.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`new`](Self::new).
+    pub fn with_plugins(
+        size: UVec2,
+        format: TextureFormat,
+        folder: String,
+        add: impl FnOnce(&mut App),
+    ) -> Result<Self, HeadlessError> {
         // Bevy panics without an adapter; ask first.
         let backends = wgpu::Backends::PRIMARY;
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
@@ -98,6 +112,7 @@ impl Headless {
             RenderDiagnosticsPlugin,
             SmokePlugin,
         ));
+        add(&mut app);
         app.finish();
         app.cleanup();
         let mut image = Image::new_target_texture(size.x, size.y, format, None);
@@ -173,8 +188,13 @@ impl Headless {
 
     /// The image's pixels, rows from the top, each RGBA in the image's format; sRGB formats stay encoded.
     pub fn pixels(&self) -> Vec<u8> {
+        self.pixels_of(&self.target)
+    }
+
+    /// The same of another image that can be copied from.
+    pub fn pixels_of(&self, image: &Handle<Image>) -> Vec<u8> {
         let images = self.app.sub_app(RenderApp).world().resource::<RenderAssets<GpuImage>>();
-        let texture = &images.get(&self.target).expect("the target was drawn into").texture;
+        let texture = &images.get(image).expect("it has been drawn into").texture;
         read_texture(self.app.world().resource(), self.app.world().resource(), texture)
     }
 

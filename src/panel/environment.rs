@@ -113,7 +113,7 @@ impl Environments<'_, '_> {
     fn show_cameras(&mut self, ui: &mut Ui) {
         for (camera, name, mut light) in &mut self.cameras {
             ui.push_id(camera, |ui| {
-                ui.label(title(camera, name));
+                ui.strong(title(camera, name));
                 let (mut intensity, mut rotation) = (light.intensity, light.rotation);
                 widgets::magnitude(ui, "map, cd/m²", &mut intensity, 0.1..=1e6);
                 turn(ui, &mut rotation);
@@ -159,7 +159,7 @@ fn edit(ui: &mut Ui, environment: &mut SmokeEnvironment) {
 fn turn(ui: &mut Ui, rotation: &mut Quat) {
     let (yaw, pitch) = heading(*rotation);
     let mut next = yaw;
-    widgets::angle(ui, "turn, °", &mut next, 180.0);
+    widgets::angle(ui, "rotation, °", &mut next, 180.0);
     if next != yaw {
         *rotation = turned(*rotation, next, pitch);
     }

@@ -28,10 +28,10 @@ impl Light {
     }
 
     /// Edits it; whether it is another now.
-    fn edit(&mut self, ui: &mut Ui, unit: &str, range: std::ops::RangeInclusive<f32>) -> bool {
+    fn edit(&mut self, ui: &mut Ui, what: &str, unit: &str, range: std::ops::RangeInclusive<f32>) -> bool {
         let before = *self;
-        widgets::color(ui, "colour", &mut self.color);
-        widgets::magnitude(ui, unit, &mut self.strength, range);
+        widgets::color(ui, &format!("{what} colour"), &mut self.color);
+        widgets::magnitude(ui, &format!("{what}, {unit}"), &mut self.strength, range);
         *self != before
     }
 
@@ -49,20 +49,20 @@ impl Lights<'_, '_> {
         for (entity, name, transform, light) in &mut self.lights {
             ui.push_id(entity, |ui| match light {
                 (Some(sun), ..) => {
-                    ui.label(format!("sun {}", title(entity, name)));
+                    ui.strong(title(entity, name));
                     show_sun(ui, sun);
-                    show_heading(ui, transform);
+                    show_heading(ui, "sun", transform);
                 }
                 (_, Some(lamp), _) => {
-                    ui.label(format!("lamp {}", title(entity, name)));
+                    ui.strong(title(entity, name));
                     show_lamp(ui, lamp);
-                    show_position(ui, transform);
+                    show_position(ui, "lamp", transform);
                 }
                 (.., Some(spot)) => {
-                    ui.label(format!("spot light {}", title(entity, name)));
+                    ui.strong(title(entity, name));
                     show_spot(ui, spot);
-                    let transform = show_position(ui, transform);
-                    show_heading(ui, transform);
+                    let transform = show_position(ui, "spot light", transform);
+                    show_heading(ui, "spot light", transform);
                 }
                 _ => {}
             });
@@ -72,45 +72,45 @@ impl Lights<'_, '_> {
 
 fn show_sun(ui: &mut Ui, mut sun: Mut<DirectionalLight>) {
     let mut light = Light::new(sun.color, sun.illuminance);
-    if light.edit(ui, "lux", 0.1..=200_000.0) {
+    if light.edit(ui, "sun", "lux", 0.1..=200_000.0) {
         (sun.color, sun.illuminance) = (light.color(), light.strength);
     }
 }
 
 fn show_lamp(ui: &mut Ui, mut lamp: Mut<PointLight>) {
     let mut light = Light::new(lamp.color, lamp.intensity);
-    if light.edit(ui, "lumens", 1.0..=1e8) {
+    if light.edit(ui, "lamp", "lumens", 1.0..=1e8) {
         (lamp.color, lamp.intensity) = (light.color(), light.strength);
     }
 }
 
 fn show_spot(ui: &mut Ui, mut spot: Mut<SpotLight>) {
     let mut light = Light::new(spot.color, spot.intensity);
-    if light.edit(ui, "lumens", 1.0..=1e8) {
+    if light.edit(ui, "spot light", "lumens", 1.0..=1e8) {
         (spot.color, spot.intensity) = (light.color(), light.strength);
     }
     let mut outer = spot.outer_angle;
-    widgets::angle(ui, "half angle, °", &mut outer, 89.0);
+    widgets::angle(ui, "spot light half angle, °", &mut outer, 89.0);
     if outer != spot.outer_angle {
         spot.outer_angle = outer.max(0.0);
         spot.inner_angle = spot.inner_angle.min(spot.outer_angle);
     }
 }
 
-fn show_position<'a>(ui: &mut Ui, mut transform: Mut<'a, Transform>) -> Mut<'a, Transform> {
+fn show_position<'a>(ui: &mut Ui, what: &str, mut transform: Mut<'a, Transform>) -> Mut<'a, Transform> {
     let mut at = transform.translation.to_array();
-    widgets::position(ui, "at", &mut at);
+    widgets::position(ui, &format!("{what} at"), &mut at);
     if at != transform.translation.to_array() {
         transform.translation = at.into();
     }
     transform
 }
 
-fn show_heading(ui: &mut Ui, mut transform: Mut<Transform>) {
+fn show_heading(ui: &mut Ui, what: &str, mut transform: Mut<Transform>) {
     let before = heading(transform.rotation);
     let (mut yaw, mut pitch) = before;
-    widgets::angle(ui, "turn, °", &mut yaw, 180.0);
-    widgets::angle(ui, "tilt, °", &mut pitch, 90.0);
+    widgets::angle(ui, &format!("{what} turn, °"), &mut yaw, 180.0);
+    widgets::angle(ui, &format!("{what} tilt, °"), &mut pitch, 90.0);
     if (yaw, pitch) != before {
         transform.rotation = turned(transform.rotation, yaw, pitch);
     }

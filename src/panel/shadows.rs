@@ -18,7 +18,7 @@ impl Shadows<'_, '_> {
         for (camera, name, shadows) in &self.cameras {
             ui.push_id(camera, |ui| {
                 if several {
-                    ui.label(title(camera, name));
+                    ui.strong(title(camera, name));
                 }
                 // A camera without the component sees what the default says.
                 let before = shadows.copied().unwrap_or_default();

@@ -10,6 +10,8 @@ mod endurance;
 mod environments;
 mod examples;
 mod lamps;
+#[cfg(feature = "egui")]
+mod panel;
 mod playback;
 mod scattering;
 mod scene;
