@@ -89,7 +89,7 @@ fn tell(
     mut window: Single<&mut Window>,
 ) {
     let (volume, playback) = *volume;
-    let Some(animation) = animations.get(&volume.animation) else {
+    let Some(animation) = volume.animation().and_then(|animation| animations.get(animation)) else {
         return;
     };
     let paused = if playback.paused { ", paused" } else { "" };

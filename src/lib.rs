@@ -89,7 +89,7 @@ pub mod prelude {
     pub use crate::playback::{PlaybackMode, SmokeFinished, SmokeLooped, SmokePlayback, SmokeReady};
     pub use crate::scattering::{ScatteringEvents, ScatteringSolver, SmokeScattering};
     pub use crate::shadows::{NoSmokeShadow, SmokeShadows};
-    pub use crate::volume::SmokeVolume;
+    pub use crate::volume::{LiveDensity, SmokeDensity, SmokeVolume};
 }
 
 /// Adds smoke to an app: the bundle's asset type and loader, the components, and, where there is a renderer, the

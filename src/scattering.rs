@@ -74,8 +74,9 @@ pub struct ScatteringChoice {
     pub multiple: bool,
     /// Whether that was left to the plug-in.
     pub auto: bool,
-    /// Estimated radiance of that light over that of light that scatters once.
-    pub share: f32,
+    /// Estimated radiance of that light over that of light that scatters once; None where nothing is known of the density,
+    /// which is live.
+    pub share: Option<f32>,
 }
 
 impl ScatteringChoice {
@@ -85,17 +86,25 @@ impl ScatteringChoice {
     pub const OFF: f32 = 0.014;
 
     /// Chooses for a medium whose light scatters again with probability `chance` (before it leaves the smoke or is
-    /// absorbed, albedo not counted) and albedo at most `albedo`; `before` is the choice so far.
-    pub(crate) fn new(events: ScatteringEvents, albedo: f32, chance: f32, before: Option<bool>) -> Self {
+    /// absorbed, albedo not counted; if not known, it may be any) and albedo at most `albedo`; `before` is the choice so far.
+    pub(crate) fn new(events: ScatteringEvents, albedo: f32, chance: Option<f32>, before: Option<bool>) -> Self {
         // Of light that has scattered, the share q scatters again, and of that q again.
-        let q = (albedo * chance).clamp(0.0, 1.0);
-        let share = q / (1.0 - q).max(1e-6);
+        let share = |chance: f32| {
+            let q = (albedo * chance).clamp(0.0, 1.0);
+            q / (1.0 - q).max(1e-6)
+        };
+        let bound = share(chance.unwrap_or(1.0));
         let multiple = match events {
             ScatteringEvents::Single => false,
             ScatteringEvents::Multiple => true,
-            ScatteringEvents::Auto => share > if before == Some(true) { Self::OFF } else { Self::ON },
+            ScatteringEvents::Auto => bound > if before == Some(true) { Self::OFF } else { Self::ON },
         };
-        Self { multiple, auto: events == ScatteringEvents::Auto, share }
+        Self { multiple, auto: events == ScatteringEvents::Auto, share: chance.map(share) }
+    }
+
+    /// Whether that light is known to add less than this share.
+    pub(crate) fn is_below(&self, share: f32) -> bool {
+        self.share.is_some_and(|known| known < share)
     }
 }
 
@@ -104,7 +113,11 @@ impl core::fmt::Display for ScatteringChoice {
         if !self.auto {
             return write!(f, "asked for");
         }
-        let percent = 100.0 * self.share;
+        let Some(share) = self.share else {
+            let how_much = if self.multiple { "much" } else { "little" };
+            return write!(f, "the density is live: for the albedo, light may scatter more than once {how_much}");
+        };
+        let percent = 100.0 * share;
         let (compare, limit) = if self.multiple { ("above", Self::OFF) } else { ("below", Self::ON) };
         write!(
             f,
@@ -119,7 +132,7 @@ mod tests {
     use super::*;
 
     fn auto(albedo: f32, chance: f32, before: Option<bool>) -> bool {
-        ScatteringChoice::new(ScatteringEvents::Auto, albedo, chance, before).multiple
+        ScatteringChoice::new(ScatteringEvents::Auto, albedo, Some(chance), before).multiple
     }
 
     #[test]
@@ -128,9 +141,12 @@ mod tests {
         assert!(auto(0.66, 0.4, None));
         assert!(!auto(0.9, 0.01, None));
         assert!(!auto(0.01, 0.8, None));
-        let share = ScatteringChoice::new(ScatteringEvents::Auto, 0.5, 0.5, None).share;
-        assert!((share - 1.0 / 3.0).abs() < 1e-6);
-        assert!(ScatteringChoice::new(ScatteringEvents::Auto, 1.0, 1.0, None).share.is_finite());
+        let share = |albedo, chance| ScatteringChoice::new(ScatteringEvents::Auto, albedo, Some(chance), None).share;
+        assert!((share(0.5, 0.5).unwrap() - 1.0 / 3.0).abs() < 1e-6);
+        assert!(share(1.0, 1.0).unwrap().is_finite());
+        // What is not known may be much, unless nothing scatters at all.
+        let live = |albedo| ScatteringChoice::new(ScatteringEvents::Auto, albedo, None, None);
+        assert!(live(0.3).multiple && live(0.3).share.is_none() && !live(0.01).multiple);
     }
 
     #[test]
@@ -152,8 +168,8 @@ mod tests {
 
     #[test]
     fn what_is_asked_for_is_done() {
-        assert!(!ScatteringChoice::new(ScatteringEvents::Single, 1.0, 1.0, Some(true)).multiple);
-        assert!(ScatteringChoice::new(ScatteringEvents::Multiple, 0.0, 0.0, Some(false)).multiple);
+        assert!(!ScatteringChoice::new(ScatteringEvents::Single, 1.0, Some(1.0), Some(true)).multiple);
+        assert!(ScatteringChoice::new(ScatteringEvents::Multiple, 0.0, Some(0.0), Some(false)).multiple);
     }
 
     #[test]

@@ -7,6 +7,7 @@ pub mod compare;
 pub mod exr_io;
 pub mod frames;
 pub mod info;
+mod input;
 pub mod join;
 pub mod output;
 pub mod path;

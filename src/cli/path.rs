@@ -9,7 +9,8 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 
 use super::bake::{BAR_STEPS, progress_bar, warn_of_lost_smoke};
-use super::render::{Choice, Job, Method, Scattering, is_density, read_bundle, read_equirect};
+use super::input::{is_density, read_bundle};
+use super::render::{Choice, Job, Method, Scattering, read_equirect};
 use super::scene::{Environment, Scene, SceneLight, SceneSphere};
 use crate::density::{self, GridShape, Placement};
 use crate::reference::path::{self, EquirectImage, Events, Light, alpha};

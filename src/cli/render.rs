@@ -14,12 +14,12 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::exr_io::{ExrImage, encode_rgba};
+use super::input::{Smoke, is_density};
 use super::output::OutputFile;
 use super::path::{self, PathArgs};
 use super::scene::{Environment, Scene, SceneLight};
 use super::solve::{PaperStats, SolveArgs, Solver};
 use super::surfaces::{cast_shadows, environment_map, spawn_surfaces};
-use crate::bundle::{BundleError, BundleHeader, SmokeAnimation};
 use crate::headless::{Headless, HeadlessError};
 use crate::lighting::magnitude;
 use crate::prelude::*;
@@ -35,7 +35,7 @@ use crate::sh::Sh;
     the scene's `plane` and `spheres`; a PNG shows these behind it, else black, sRGB-encoded, without tone mapping. With \
     rbf, spheres shade smoke, and smoke shades plane and spheres; with path, all shade and light each other.")]
 pub struct RenderArgs {
-    /// The smoke: a .smoke bundle, or with --method path a density file too; it overrides the scene's `density`
+    /// The smoke: a .smoke bundle, or a density file (OpenVDB or NumPy) as it is; it overrides the scene's `density`
     pub(super) input: PathBuf,
     /// The picture to write, .exr or .png
     #[arg(short, long)]
@@ -81,7 +81,7 @@ pub struct RenderArgs {
 pub(super) enum Method {
     /// The cheapest that the scene allows
     Auto,
-    /// RBFs with probes: the product's best on bundles
+    /// RBFs with probes: the product's best, on bundles and, with a lattice of RBFs, on raw density
     Rbf,
     /// Zhou et al. 2008 as printed, lit by the environment alone: a baseline
     Paper,
@@ -147,8 +147,9 @@ struct Stats {
     size: [u32; 2],
     spp: u32,
     cells: [u32; 3],
-    rbfs: usize,
-    probes: usize,
+    /// Null of raw density, whose RBFs only the GPU knows.
+    rbfs: Option<usize>,
+    probes: Option<usize>,
     frames: u32,
     /// Median milliseconds of a whole frame after the first, by the clock, GPU work included; null where there were none.
     steady_frame_ms: Option<f64>,
@@ -241,7 +242,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<()> {
 /// Draws with the plug-in.
 fn draw(job: Job) -> anyhow::Result<()> {
     let Job { args, method, size, spp, scene, kind, output, stats: stats_file, .. } = job;
-    let animation = read_bundle(&args.input, args.frame)?;
+    let smoke = Smoke::read(&args.input, args.frame)?;
     let rays = spp.isqrt();
     let drawn = size.map(|side| side * rays);
     ensure!(
@@ -250,13 +251,12 @@ fn draw(job: Job) -> anyhow::Result<()> {
         size[0],
         size[1],
     );
-    let rbfs = animation.frames.get(0).map_or(0, |frame| frame.rbfs.rbfs.len());
-    let cells = animation.shape.dims.to_array();
+    let (rbfs, cells) = (smoke.rbfs(), smoke.shape().dims.to_array());
     let mut headless = Headless::new(drawn.into(), TextureFormat::Rgba16Float)?;
     let paper = args.solve.paper(method.used);
     let scattering =
         SmokeScattering { events: args.scattering.into(), solver: args.solve.solver().into(), ..default() };
-    let (volume, unit) = spawn_scene(&mut headless, &scene, animation, scattering, kind)?;
+    let (volume, unit) = spawn_scene(&mut headless, &scene, smoke, args.solve.lattice(), scattering, kind)?;
     if let Some(paper) = paper {
         headless.app.world_mut().entity_mut(volume).insert(paper);
         if scene.has_surfaces() {
@@ -320,7 +320,7 @@ fn draw(job: Job) -> anyhow::Result<()> {
             cells,
             rbfs,
             // The paper looks from the centres alone.
-            probes: if paper.is_some() { rbfs } else { PROBES as usize * rbfs },
+            probes: rbfs.map(|rbfs| if paper.is_some() { rbfs } else { PROBES as usize * rbfs }),
             frames: args.frames,
             steady_frame_ms: median(frame_ms),
             passes: pass_stats(&counts, world.resource()),
@@ -357,14 +357,24 @@ pub(super) fn average(fine: &[[f32; 4]], [width, height]: [u32; 2], rays: u32, u
 /// The method to use, of what was asked for.
 fn choose_method(args: &RenderArgs) -> anyhow::Result<Choice<Method>> {
     let method = match args.method {
-        Method::Auto => Choice { asked: Method::Auto, used: Method::Rbf, why: "the input is a bundle".into() },
+        Method::Auto => {
+            let why = match is_density(&args.input) {
+                true => "the input is raw density: RBFs are laid through it on a lattice",
+                false => "the input is a bundle",
+            };
+            Choice { asked: Method::Auto, used: Method::Rbf, why: why.into() }
+        }
+        Method::Paper if is_density(&args.input) => bail!(
+            "--method paper: {} is a density file: bake it first (smoke bake {0} -o OUT.smoke)",
+            args.input.display()
+        ),
         asked @ (Method::Rbf | Method::Paper | Method::Path) => Choice { asked, used: asked, why: "asked for".into() },
         other => {
             let name = other.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default();
             bail!("--method {name} is not available yet: use rbf, paper or path")
         }
     };
-    args.solve.check(method.used)?;
+    args.solve.check(method.used, is_density(&args.input))?;
     let traced = method.used == Method::Path;
     ensure!(traced || !args.path.is_given(), "--halves and --seed are for --method path");
     ensure!(!traced || args.frames == 1, "--frames: method path draws a scene once");
@@ -383,42 +393,22 @@ fn chosen_scattering(asked: Scattering, choice: Option<ScatteringChoice>) -> Cho
     }
 }
 
-/// Whether a file is named like a density and not like a bundle.
-pub(super) fn is_density(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("vdb") || e.eq_ignore_ascii_case("npy"))
-}
-
-/// Reads one frame of a bundle: an animation of that frame alone.
-pub(super) fn read_bundle(path: &Path, frame: u32) -> anyhow::Result<SmokeAnimation> {
-    ensure!(
-        !is_density(path),
-        "{} is a density file: bake it first (smoke bake {0} -o OUT.smoke), or use --method path",
-        path.display()
-    );
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let read = || {
-        let header = BundleHeader::read(&bytes)?;
-        let frame = header.read_frame_of(&bytes, frame as usize)?;
-        Ok(header.animation(vec![frame].into()))
-    };
-    read().map_err(|error: BundleError| anyhow::anyhow!("{}: {error}", path.display()))
-}
-
 /// Spawns the volume, its lights and a camera that shows radiance as it is: exposure 1, no tone mapping, no dithering.
 /// Returns the volume and the radiance that 1 in the picture stands for: the picture is f16, the light may be in any unit.
 pub(super) fn spawn_scene(
     headless: &mut Headless,
     scene: &Scene,
-    animation: SmokeAnimation,
+    smoke: Smoke,
+    lattice: u32,
     scattering: SmokeScattering,
     kind: PictureKind,
 ) -> anyhow::Result<(Entity, f32)> {
-    let (center, side) = scene.placement.center_and_side(animation.shape, animation.placement);
+    let (center, side) = scene.placement.center_and_side(smoke.shape(), smoke.placement());
     let transform = Transform::from_translation(center.as_vec3()).with_scale(Vec3::splat(side as f32));
     let world = headless.app.world_mut();
     let (environment, unit) = environment(world, scene)?;
-    let animation = world.resource_mut::<Assets<SmokeAnimation>>().add(animation);
-    let volume = world.spawn((SmokeVolume::new(animation), scattering, medium(scene), environment, transform)).id();
+    let smoke = smoke.volume(world, lattice);
+    let volume = world.spawn((smoke, scattering, medium(scene), environment, transform)).id();
     for light in &scene.lights {
         spawn_light(world, light, unit);
     }

@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::render::Method;
 use crate::paper::{PaperExponential, SmokePaper};
 use crate::scattering::ScatteringSolver;
+use crate::volume::LiveDensity;
 
 /// Options of `smoke render` that only some methods have.
 #[derive(Args, Debug)]
@@ -20,6 +21,9 @@ pub struct SolveArgs {
     /// rbf: how multiple scattering is solved for [default: transport]
     #[arg(long, value_enum)]
     solver: Option<Solver>,
+    /// rbf on raw density: cells of the lattice of RBFs along the longest side, 4 to 16 [default: 12]
+    #[arg(long, value_name = "CELLS", value_parser = clap::value_parser!(u32).range(4..=16))]
+    lattice: Option<u32>,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -48,11 +52,20 @@ pub(super) struct PaperStats {
 
 impl SolveArgs {
     /// Refuses options that the method does not have.
-    pub(super) fn check(&self, method: Method) -> anyhow::Result<()> {
+    pub(super) fn check(&self, method: Method, is_raw: bool) -> anyhow::Result<()> {
+        ensure!(
+            self.lattice.is_none() || is_raw && method == Method::Rbf,
+            "--lattice is for --method rbf on a density file"
+        );
         let given = self.cg_steps.is_some() || self.exponential.is_some();
         ensure!(method == Method::Paper || !given, "--cg-steps and --exponential are for --method paper");
         ensure!(method == Method::Rbf || self.solver.is_none(), "--solver is for --method rbf");
         Ok(())
+    }
+
+    /// Cells of the lattice along the longest side.
+    pub(super) fn lattice(&self) -> u32 {
+        self.lattice.unwrap_or(LiveDensity::LATTICE)
     }
 
     /// The solver that method rbf uses.

@@ -74,13 +74,14 @@ fn advance(
     mut volumes: Query<(Entity, &SmokeVolume, &mut SmokePlayback, &Shown)>,
 ) {
     for (entity, volume, mut playback, shown) in &mut volumes {
-        let Some(animation) = animations.get(&volume.animation) else {
+        let Some(id) = volume.animation().map(Handle::id) else { continue };
+        let Some(animation) = animations.get(id) else {
             continue;
         };
         if let Some(problem) = playback.problem() {
             warn_once!("smoke volume {entity} cannot be played with {problem}: it stands still (said once)");
         }
-        let started = shown.animation == Some(volume.animation.id());
+        let started = shown.animation == Some(id);
         let mut next = playback.clone();
         let passed = next.advance(if started { time.delta_secs_f64() } else { 0.0 }, animation);
         playback.set_if_neq(next);
@@ -101,7 +102,7 @@ fn show(
     mut volumes: Query<(Entity, &SmokeVolume, &SmokePlayback, &mut SmokeMoment, &mut Shown)>,
 ) {
     for (entity, volume, playback, mut moment, mut shown) in &mut volumes {
-        let id = volume.animation.id();
+        let Some(id) = volume.animation().map(Handle::id) else { continue };
         let Some(animation) = animations.get(id) else {
             continue;
         };

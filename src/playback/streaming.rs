@@ -200,7 +200,7 @@ pub(super) fn stream(
     // Frames with how many others are shown before them.
     let mut wanted = Vec::new();
     for (volume, playback) in &volumes {
-        let id = volume.animation.id();
+        let Some(id) = volume.animation().map(Handle::id) else { continue };
         let Some(animation) = animations.get(id) else {
             continue;
         };

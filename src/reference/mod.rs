@@ -19,6 +19,7 @@ pub mod flicker;
 pub mod incident_light;
 pub mod irradiance;
 pub mod lamp;
+pub mod lattice;
 pub mod occlusion;
 pub mod outgoing;
 pub mod paper;

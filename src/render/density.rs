@@ -34,7 +34,7 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
 }
 
 pub(super) fn job(pass: &ComputePass, frame: &GpuSmokeFrame, device: &RenderDevice, cache: &PipelineCache) -> Job {
-    let [from, to] = frame.residuals();
+    let [from, to] = frame.residuals().expect("baked smoke has residuals");
     let bind_group = pass.bind(
         device,
         cache,

@@ -8,10 +8,14 @@ use bevy::mesh::skinning::SkinnedMesh;
 use bevy::platform::collections::HashMap;
 use bevy::prelude::*;
 use bevy::render::Extract;
+use bevy::render::render_asset::RenderAssets;
 use bevy::render::sync_world::MainEntity;
+use bevy::render::texture::GpuImage;
 
 use super::lamp::Lamp;
+use super::live::Live;
 use super::view::Emission;
+use crate::density::GridShape;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
 use crate::occluder::SmokeOccluder;
@@ -21,7 +25,7 @@ use crate::playback::{Moment, SmokeMoment};
 use crate::scattering::SmokeScattering;
 use crate::shadows::SmokeShadows;
 use crate::sun::EnvironmentSuns;
-use crate::volume::SmokeVolume;
+use crate::volume::{SmokeDensity, SmokeVolume, shape_of};
 
 /// The smoke in the scene, and what lights it.
 #[derive(Resource, Default)]
@@ -46,7 +50,7 @@ impl ExtractedSmoke {
 
 /// A volume as the render world sees it.
 pub(super) struct ExtractedVolume {
-    pub moment: Moment,
+    pub content: Content,
     pub world_from_bundle: Affine3A,
     pub medium: SmokeMedium,
     pub environment: SmokeEnvironment,
@@ -56,6 +60,32 @@ pub(super) struct ExtractedVolume {
     pub layers: RenderLayers,
     /// Whether it shades meshes and other smoke.
     pub casts: bool,
+}
+
+/// What a volume shows.
+pub(super) enum Content {
+    /// A moment of an animation.
+    Baked(Moment),
+    /// A texture.
+    Live(Live),
+}
+
+impl Content {
+    /// Its cells; None while they are not known.
+    pub fn shape(&self, images: &RenderAssets<GpuImage>) -> Option<GridShape> {
+        match self {
+            Self::Baked(moment) => Some(moment.shape()),
+            Self::Live(live) => Some(shape_of(images.get(live.image)?.texture_descriptor.size)),
+        }
+    }
+
+    /// The density that the renderer's scaled density is 1 at; above 0.
+    pub fn density_scale(&self) -> f32 {
+        match self {
+            Self::Baked(moment) => moment.density_scale(),
+            Self::Live(live) => live.max_density,
+        }
+    }
 }
 
 impl ExtractedVolume {
@@ -100,20 +130,18 @@ type LampQuery<'w, 's, L> = Query<
 pub(super) fn extract_smoke(
     mut smoke: ResMut<ExtractedSmoke>,
     volumes: Extract<
-        Query<
-            (
-                Entity,
-                &SmokeMoment,
-                &SmokeMedium,
-                &SmokeEnvironment,
-                &SmokeScattering,
-                &GlobalTransform,
-                Option<&RenderLayers>,
-                &InheritedVisibility,
-                Has<NotShadowCaster>,
-            ),
-            With<SmokeVolume>,
-        >,
+        Query<(
+            Entity,
+            &SmokeVolume,
+            &SmokeMoment,
+            &SmokeMedium,
+            &SmokeEnvironment,
+            &SmokeScattering,
+            &GlobalTransform,
+            Option<&RenderLayers>,
+            &InheritedVisibility,
+            Has<NotShadowCaster>,
+        )>,
     >,
     #[cfg(feature = "reference")] papers: Extract<Query<&SmokePaper>>,
     cameras: Extract<
@@ -134,15 +162,20 @@ pub(super) fn extract_smoke(
     ),
 ) {
     smoke.volumes.clear();
-    for (entity, moment, medium, environment, scattering, transform, layers, visibility, no_caster) in &volumes {
-        // Nothing has come yet.
-        let Some(moment) = &moment.0 else { continue };
+    for (entity, volume, moment, medium, environment, scattering, transform, layers, visibility, no_caster) in &volumes
+    {
+        let content = match (&volume.density, &moment.0) {
+            (SmokeDensity::Animation(_), Some(moment)) => Content::Baked(moment.clone()),
+            // Nothing has come yet.
+            (SmokeDensity::Animation(_), None) => continue,
+            (SmokeDensity::Live(live), _) => Content::Live(Live::extract(entity, live)),
+        };
         let clamped = medium.clamped();
         if clamped != *medium {
             warn_once!("{medium:?} of smoke volume {entity} is out of range: it is drawn as {clamped:?} (said once)");
         }
         let extracted = ExtractedVolume {
-            moment: moment.clone(),
+            content,
             world_from_bundle: transform.affine(),
             medium: clamped,
             environment: environment.clone(),

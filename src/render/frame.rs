@@ -1,5 +1,6 @@
-//! A moment of smoke on the GPU: its RBFs and bins, rewritten in place as time goes on, and the density textures that
-//! they and the residuals of two baked frames are unpacked to.
+//! Smoke on the GPU as it is now: its RBFs and bins, rewritten in place as time goes on, and its density textures. Of a
+//! moment of baked smoke RBFs come from the CPU, and density is unpacked from them and the residuals of two baked frames;
+//! of live smoke density comes from a texture, and RBFs are laid through it on the GPU ([`lattice`](super::lattice)).
 
 use std::sync::Arc;
 
@@ -14,7 +15,7 @@ use super::baked::GpuBakedFrame;
 use super::incident_light::PROBE_BYTES;
 use crate::density::GridShape;
 use crate::playback::Moment;
-use crate::rbf::{Rbf, RbfBins};
+use crate::rbf::{BIN_CELLS, Rbf, RbfBins};
 
 /// Format of [`GpuSmokeFrame::density`]: read texel by texel, at full precision.
 pub(super) const DENSITY_FORMAT: TextureFormat = TextureFormat::R32Float;
@@ -24,15 +25,16 @@ pub(super) const FILTERED_FORMAT: TextureFormat = TextureFormat::Rgba16Float;
 /// One moment on the GPU.
 pub(super) struct GpuSmokeFrame {
     pub shape: GridShape,
+    /// RBFs there are; of live smoke, of which only the GPU knows, RBFs there may be.
     pub rbf_count: u32,
     /// RBFs that every buffer of something an RBF has room for, here and in the volumes that show the moment.
     pub rbf_capacity: u32,
     /// Counts the rewrites.
     pub version: u32,
-    blend: f32,
     /// What the value 1 of the filtered density textures stands for; above 0.
     max_density: f32,
-    baked: [Arc<GpuBakedFrame>; 2],
+    /// None of live smoke.
+    blend: Option<Blend>,
     /// New, like the buffers after it, where RBFs or bins had outgrown them.
     pub uniform: Buffer,
     pub rbfs: Buffer,
@@ -42,6 +44,12 @@ pub(super) struct GpuSmokeFrame {
     pub density: TextureView,
     /// Coarse density, padded by an empty cell on each side, written by the coarse pass.
     pub coarse: TextureView,
+}
+
+/// Two baked frames, and the share of the second.
+struct Blend {
+    baked: [Arc<GpuBakedFrame>; 2],
+    share: f32,
 }
 
 /// The `Frame` of `frame.wgsl`.
@@ -79,24 +87,44 @@ impl GpuSmokeFrame {
         let shape = moment.shape();
         let bins = RbfBins::of_moment(rbfs, &moment.stays(), shape);
         let rbf_capacity = rbf_capacity(rbfs.len() as u32);
-        let [uniform, rbf_buffer, bin_offsets, bin_indices] = buffers(rbf_capacity, &bins, device);
-        let mut frame = Self {
+        let entries = entry_capacity(bins.indices.len() as u64);
+        let mut frame = Self::empty(shape, rbf_capacity, bins.offsets.len() as u64, entries, device);
+        frame.write(moment, rbfs, &bins, baked, queue);
+        frame
+    }
+
+    /// Live smoke of so many cells, with room for so many RBFs and entries of bins that the GPU fills in.
+    pub fn live(
+        shape: GridShape,
+        max_density: f32,
+        (rbfs, entries): (u32, u64),
+        device: &RenderDevice,
+        queue: &RenderQueue,
+    ) -> Self {
+        let bins = shape.dims.map(|n| n.div_ceil(BIN_CELLS));
+        let offsets = GridShape::new(bins).len() as u64 + 1;
+        let frame = Self { max_density, rbf_count: rbfs, ..Self::empty(shape, rbfs, offsets, entries, device) };
+        // How many RBFs there are, the lattice's passes say.
+        frame.write_uniform(FrameUniform { rbf_count: 0, ..frame.frame_uniform(bins) }, queue);
+        frame
+    }
+
+    fn empty(shape: GridShape, rbf_capacity: u32, bin_offsets: u64, bin_entries: u64, device: &RenderDevice) -> Self {
+        let [uniform, rbfs, bin_offsets, bin_indices] = buffers(rbf_capacity, bin_offsets, bin_entries, device);
+        Self {
             shape,
             rbf_count: 0,
             rbf_capacity,
             version: 0,
-            blend: 0.0,
             max_density: 1.0,
-            baked,
+            blend: None,
             uniform,
-            rbfs: rbf_buffer,
+            rbfs,
             bin_offsets,
             bin_indices,
             density: texture_3d(device, "smoke_density", shape.dims, DENSITY_FORMAT),
             coarse: texture_3d(device, "smoke_coarse_density", shape.coarse().dims + 2, FILTERED_FORMAT),
-        };
-        frame.write(moment, rbfs, &bins, queue);
-        frame
+        }
     }
 
     /// Shows another moment on the same cells: the density passes must run again.
@@ -111,63 +139,76 @@ impl GpuSmokeFrame {
         let bins = RbfBins::of_moment(rbfs, &moment.stays(), self.shape);
         if rbfs.len() as u32 > self.rbf_capacity || 4 * bins.indices.len() as u64 > self.bin_indices.size() {
             self.rbf_capacity = self.rbf_capacity.max(rbf_capacity(rbfs.len() as u32));
-            [self.uniform, self.rbfs, self.bin_offsets, self.bin_indices] = buffers(self.rbf_capacity, &bins, device);
+            let entries = entry_capacity(bins.indices.len() as u64);
+            [self.uniform, self.rbfs, self.bin_offsets, self.bin_indices] =
+                buffers(self.rbf_capacity, bins.offsets.len() as u64, entries, device);
         }
-        self.baked = baked;
         self.version += 1;
-        self.write(moment, rbfs, &bins, queue);
+        self.write(moment, rbfs, &bins, baked, queue);
     }
 
-    fn write(&mut self, moment: &Moment, rbfs: &[Rbf], bins: &RbfBins, queue: &RenderQueue) {
+    fn write(
+        &mut self,
+        moment: &Moment,
+        rbfs: &[Rbf],
+        bins: &RbfBins,
+        baked: [Arc<GpuBakedFrame>; 2],
+        queue: &RenderQueue,
+    ) {
         self.rbf_count = rbfs.len() as u32;
-        self.blend = moment.blend;
+        self.blend = Some(Blend { baked, share: moment.blend });
         self.max_density = moment.density_scale();
-        let mut uniform = encase::UniformBuffer::new(Vec::<u8>::new());
-        uniform.write(&self.frame_uniform(bins)).expect("a Vec grows as it is written to");
+        self.write_uniform(self.frame_uniform(bins.dims), queue);
         let entries: Vec<RbfEntry> =
             rbfs.iter().map(|r| RbfEntry { center: r.center.into(), radius: r.radius, weight: r.weight }).collect();
         let mut entry_bytes = encase::StorageBuffer::new(Vec::<u8>::new());
         entry_bytes.write(&entries).expect("a Vec grows as it is written to");
-        queue.write_buffer(&self.uniform, 0, uniform.as_ref());
         queue.write_buffer(&self.rbfs, 0, entry_bytes.as_ref());
         queue.write_buffer(&self.bin_offsets, 0, bytemuck::cast_slice(&bins.offsets));
         queue.write_buffer(&self.bin_indices, 0, bytemuck::cast_slice(&bins.indices));
     }
 
-    fn frame_uniform(&self, bins: &RbfBins) -> FrameUniform {
+    fn write_uniform(&self, value: FrameUniform, queue: &RenderQueue) {
+        let mut uniform = encase::UniformBuffer::new(Vec::<u8>::new());
+        uniform.write(&value).expect("a Vec grows as it is written to");
+        queue.write_buffer(&self.uniform, 0, uniform.as_ref());
+    }
+
+    fn frame_uniform(&self, bins: UVec3) -> FrameUniform {
         let shape = self.shape;
         FrameUniform {
             dims: shape.dims,
             rbf_count: self.rbf_count,
-            bins: bins.dims,
+            bins,
             cell: shape.cell_size(),
             coarse_dims: shape.coarse().dims,
             coarse_ratio: (shape.longest() as f32 / crate::density::COARSE_CELLS as f32).max(1.0),
             density_scale: 1.0 / self.max_density,
-            blend: self.blend,
+            blend: self.blend.as_ref().map_or(0.0, |blend| blend.share),
             rbf_capacity: self.rbf_capacity,
         }
     }
 
-    /// The residuals that are blended; the same one twice where nothing is.
-    pub fn residuals(&self) -> [&Buffer; 2] {
-        self.baked.each_ref().map(|baked| &baked.residual)
+    /// The residuals that are blended, the same one twice where nothing is; None of live smoke.
+    pub fn residuals(&self) -> Option<[&Buffer; 2]> {
+        self.blend.as_ref().map(|blend| blend.baked.each_ref().map(|baked| &baked.residual))
     }
 
     /// The probability that light which has scattered meets smoke again, for an extinction per bundle unit and scaled
-    /// density.
-    pub fn chance_to_meet_again(&self, sigma: f32) -> f32 {
+    /// density; None of live smoke.
+    pub fn chance_to_meet_again(&self, sigma: f32) -> Option<f32> {
         self.mix(|baked| baked.chance_to_meet_again(sigma / self.max_density))
     }
 
-    /// Scaled density times radius of an RBF, the mean over all smoke: its optical radius over the extinction.
-    pub fn typical_depth(&self) -> f32 {
+    /// Scaled density times radius of an RBF, the mean over all smoke: its optical radius over the extinction; None of live
+    /// smoke.
+    pub fn typical_depth(&self) -> Option<f32> {
         self.mix(|baked| baked.typical_depth / self.max_density)
     }
 
-    fn mix(&self, of: impl Fn(&GpuBakedFrame) -> f32) -> f32 {
-        let [from, to] = &self.baked;
-        (1.0 - self.blend) * of(from) + if self.blend > 0.0 { self.blend * of(to) } else { 0.0 }
+    fn mix(&self, of: impl Fn(&GpuBakedFrame) -> f32) -> Option<f32> {
+        let Blend { baked: [from, to], share } = self.blend.as_ref()?;
+        Some((1.0 - share) * of(from) + if *share > 0.0 { share * of(to) } else { 0.0 })
     }
 
     /// Bytes on the GPU, without the residuals.
@@ -192,17 +233,17 @@ fn entry_capacity(entries: u64) -> u64 {
 }
 
 /// Uniform, RBFs, offsets and entries of the bins.
-fn buffers(rbf_capacity: u32, bins: &RbfBins, device: &RenderDevice) -> [Buffer; 4] {
+fn buffers(rbf_capacity: u32, bin_offsets: u64, bin_entries: u64, device: &RenderDevice) -> [Buffer; 4] {
     let buffer = |label, size, usage| {
-        let usage = usage | BufferUsages::COPY_DST;
+        let usage = usage | BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC;
         device.create_buffer(&BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
     };
-    let entries = entry_capacity(bins.indices.len() as u64);
     [
+        // Live smoke's passes write how many RBFs there are.
         buffer("smoke_frame", FrameUniform::min_size().get(), BufferUsages::UNIFORM),
-        buffer("smoke_rbfs", u64::from(rbf_capacity) * RbfEntry::min_size().get(), BufferUsages::STORAGE),
-        buffer("smoke_bin_offsets", 4 * bins.offsets.len() as u64, BufferUsages::STORAGE),
-        buffer("smoke_bin_indices", 4 * entries, BufferUsages::STORAGE),
+        buffer("smoke_rbfs", u64::from(rbf_capacity) * RbfEntry::min_size().get(), BufferUsages::empty()),
+        buffer("smoke_bin_offsets", 4 * bin_offsets, BufferUsages::empty()),
+        buffer("smoke_bin_indices", 4 * bin_entries, BufferUsages::empty()),
     ]
 }
 
@@ -235,18 +276,24 @@ pub(super) fn texture_3d(device: &RenderDevice, label: &str, dims: UVec3, format
     texture.create_view(&TextureViewDescriptor::default())
 }
 
-/// Whether the device can hold a moment; if not, why, and what to do.
-pub(super) fn fits(moment: &Moment, rbfs: &[Rbf], device: &RenderDevice) -> Result<(), String> {
-    let (shape, limits) = (moment.shape(), device.limits());
+/// Whether the device can hold so many cells; if not, why, and what to do.
+pub(super) fn cells_fit(shape: GridShape, device: &RenderDevice) -> Result<(), String> {
     // The texture that is marched has a cell of padding on each side.
-    let side = limits.max_texture_dimension_3d;
+    let side = device.limits().max_texture_dimension_3d;
     if shape.longest() + 2 > side {
         return Err(format!(
-            "it has {} cells, but this adapter's 3D textures end at {side} a side, two of them padding; bake it from a \
-             smaller grid",
+            "it has {} cells, but this adapter's 3D textures end at {side} a side, two of them padding; take a smaller \
+             grid",
             shape.dims
         ));
     }
+    Ok(())
+}
+
+/// Whether the device can hold a moment; if not, why, and what to do.
+pub(super) fn fits(moment: &Moment, rbfs: &[Rbf], device: &RenderDevice) -> Result<(), String> {
+    let (shape, limits) = (moment.shape(), device.limits());
+    cells_fit(shape, device)?;
     let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
     let residual = |frame: &crate::bundle::SmokeFrame| GpuBakedFrame::residual_bytes(&frame.residual);
     let largest = [

@@ -4,7 +4,9 @@
 //! |---|---|---|---|
 //! | `environment` | a radiance image | 16 SH coefficients | environment |
 //! | `density` | RBFs, bins, two hashed residuals | density of every cell | moment of smoke |
+//! | `live` | a game's 3D texture | density of every cell | frame, of live smoke |
 //! | `coarse` | density | density of a 64³ grid | moment of smoke |
+//! | `lattice` | coarse density | RBFs, bins | frame, of live smoke |
 //! | `pair_matrix` | RBFs, coarse density | how much each RBF sees of each other | volume, moment of smoke and extinction |
 //! | `incident_light` | coefficients, lamps, RBFs, coarse densities, spheres | SH light and columns to the lamps at 7 probes an RBF | volume, light and what stands in it |
 //! | `scattering` | pair matrix, light at the probes | SH light that each RBF sees of the others | the same |
@@ -39,9 +41,11 @@ mod footprint;
 mod frame;
 mod incident_light;
 mod lamp;
+mod lattice;
 mod light;
 mod lighting;
 mod lit;
+mod live;
 mod mesh_shadows;
 mod moments;
 mod outgoing;
@@ -153,7 +157,9 @@ impl Plugin for SmokeRenderPlugin {
                 (
                     environment::environment,
                     density::density,
+                    live::live,
                     coarse::coarse,
+                    lattice::lattice,
                     casters::copy_casters,
                     pair_matrix::pair_matrix,
                     incident_light::incident_light,
@@ -198,7 +204,9 @@ impl Plugin for SmokeRenderPlugin {
 pub(crate) struct SmokePasses {
     environment: EnvironmentPass,
     density: ComputePass,
+    live: ComputePass,
     coarse: ComputePass,
+    lattice: lattice::LatticePasses,
     pair_matrix: ComputePass,
     incident_light: ComputePass,
     scattering: ScatteringPass,
@@ -214,6 +222,7 @@ impl SmokePasses {
     fn all(&self) -> impl Iterator<Item = &ComputePass> {
         let others = [
             &self.density,
+            &self.live,
             &self.coarse,
             &self.pair_matrix,
             &self.incident_light,
@@ -225,6 +234,7 @@ impl SmokePasses {
             .environment
             .passes()
             .into_iter()
+            .chain(self.lattice.all())
             .chain(self.scattering.passes())
             .chain(self.diffusion.passes())
             .chain(others);
@@ -256,7 +266,9 @@ fn init_passes(
     commands.insert_resource(SmokePasses {
         environment: EnvironmentPass::new(&shaders.environment, &cache),
         density: density::pass(&shaders.density, &cache),
+        live: live::pass(&shaders.live, &cache),
         coarse: coarse::pass(&shaders.coarse, &cache),
+        lattice: lattice::LatticePasses::new(&shaders.lattice, &cache),
         pair_matrix: pair_matrix::pass(&shaders.pair_matrix, &cache),
         incident_light: incident_light::pass(&shaders.incident_light, &cache),
         scattering: ScatteringPass::new(&shaders, &cache),
@@ -304,7 +316,9 @@ fn check_device(device: &RenderDevice, adapter: &RenderAdapter) -> Result<(), &'
 pub(crate) struct SmokeWork {
     environment: Vec<EnvironmentJob>,
     density: Vec<Job>,
+    live: Vec<Job>,
     coarse: Vec<Job>,
+    lattice: Vec<(lattice::Step, Job)>,
     copies: Vec<casters::Copy>,
     pair_matrix: Vec<Job>,
     incident_light: Vec<Job>,

@@ -12,7 +12,7 @@ use bevy::render::renderer::RenderDevice;
 use bevy::render::sync_world::MainEntity;
 
 use super::baked::GpuBakedFrame;
-use super::extract::ExtractedSmoke;
+use super::extract::{Content, ExtractedSmoke};
 use super::frame::{GpuSmokeFrame, fits};
 use super::prepare::Gpu;
 use super::stats::SmokeMemory;
@@ -76,7 +76,11 @@ impl Moments {
     /// Starts a rendered frame.
     pub fn begin(&mut self, now: u32, smoke: &ExtractedSmoke) {
         self.now = now;
-        self.wanted = smoke.volumes.values().map(|volume| MomentKey::of(&volume.moment)).collect();
+        let moments = smoke.volumes.values().filter_map(|volume| match &volume.content {
+            Content::Baked(moment) => Some(moment),
+            Content::Live(_) => None,
+        });
+        self.wanted = moments.map(MomentKey::of).collect();
     }
 
     /// A volume's moment on the GPU; None, with one error, where it does not fit the adapter.

@@ -34,8 +34,8 @@ pub(super) struct Placed {
 }
 
 impl Placed {
-    /// None where the transform flattens the box or is not finite.
-    pub fn new(entity: MainEntity, volume: &ExtractedVolume) -> Option<Self> {
+    /// A volume of so many cells; None where the transform flattens the box or is not finite.
+    pub fn new(entity: MainEntity, volume: &ExtractedVolume, shape: GridShape) -> Option<Self> {
         let world_from_bundle = volume.world_from_bundle;
         if !world_from_bundle.is_finite() {
             warn_once!("the transform of smoke volume {entity:?} is not finite: it is not drawn (said once)");
@@ -43,7 +43,7 @@ impl Placed {
         }
         let scale = world_from_bundle.matrix3.determinant().abs().cbrt();
         let usable = scale > 0.0 && world_from_bundle.inverse().is_finite();
-        let (shape, max_density) = (volume.moment.shape(), volume.moment.density_scale());
+        let max_density = volume.content.density_scale();
         usable.then_some(Self { world_from_bundle, shape, scale, max_density })
     }
 

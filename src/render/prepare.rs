@@ -6,7 +6,7 @@
 //! |---|---|---|
 //! | [`Environments`] | environment | its image or coefficients |
 //! | [`GpuBakedFrame`](super::baked::GpuBakedFrame) | baked frame that a moment blends | nothing |
-//! | [`GpuSmokeFrame`](super::frame::GpuSmokeFrame) | moment that volumes show | time, in place |
+//! | [`GpuSmokeFrame`] | moment that volumes show, or live texture | time, in place |
 //! | [`LitVolume`] | volume × environment | environment and moment, the medium, the volume's rotation and scale, lamps |
 //! | [`SlicedVolume`](super::lit::SlicedVolume) | lit volume, × view where the phase function is not isotropic | the lit volume; the eye in bundle space |
 
@@ -24,11 +24,12 @@ use bevy::render::texture::GpuImage;
 use bevy::render::view::{ExtractedView, RenderVisibleEntities};
 
 use super::casters::Casters;
-use super::extract::ExtractedSmoke;
+use super::extract::{Content, ExtractedSmoke, ExtractedVolume};
 use super::footprint::Footprints;
-use super::frame::{FILTERED_FORMAT, texture_3d};
+use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, texture_3d};
 use super::light::{Environments, Light, LightKey};
 use super::lit::{FrameLight, LitVolume};
+use super::live::LiveFrames;
 use super::mesh_shadows::ViewMeshShadows;
 use super::moments::Moments;
 #[cfg(feature = "reference")]
@@ -37,7 +38,7 @@ use super::placed::{Placed, warn_of_limits};
 use super::shading::{ShadedBy, Shading, casting};
 use super::surroundings::{Around, Surroundings};
 use super::view::{Emission, Glow, ViewPass, ViewSmoke, ViewSmokeVolume};
-use super::{SmokePasses, SmokeRenderStats, SmokeWork};
+use super::{SmokeMemory, SmokePasses, SmokeRenderStats, SmokeWork};
 use crate::scattering::ScatteringSolver;
 use crate::volume::SmokeVolume;
 
@@ -49,12 +50,42 @@ const KEEP_FRAMES: u32 = 300;
 pub(super) struct SmokeCache {
     frame: u32,
     environments: Environments,
-    moments: Moments,
+    frames: Frames,
     volumes: HashMap<(MainEntity, LightKey), LitVolume>,
     casters: Casters,
     shading: Shading,
     surroundings: HashMap<(MainEntity, LightKey), Surroundings>,
     shared: Option<Shared>,
+}
+
+/// What volumes show, baked and live.
+#[derive(Default)]
+struct Frames {
+    moments: Moments,
+    live: LiveFrames,
+}
+
+impl Frames {
+    /// What a volume shows, on the GPU; None where it cannot be drawn.
+    fn show(
+        &mut self,
+        entity: MainEntity,
+        volume: &ExtractedVolume,
+        images: &RenderAssets<GpuImage>,
+        gpu: &Gpu,
+        work: &mut SmokeWork,
+    ) -> Option<&GpuSmokeFrame> {
+        match &volume.content {
+            Content::Baked(moment) => self.moments.show(entity, moment, gpu, work),
+            Content::Live(live) => self.live.show(entity, live, images, gpu, work),
+        }
+    }
+
+    fn memory(&self) -> SmokeMemory {
+        let baked = self.moments.memory();
+        let (count, bytes) = self.live.memory();
+        SmokeMemory { moments: baked.moments + count, bytes: baked.bytes + bytes, ..baked }
+    }
 }
 
 /// Where light that scatters more than once adds less than this to single scattering, it does not diffuse.
@@ -119,11 +150,13 @@ pub(super) fn prepare_smoke(
     (passes, view_pass, stats): (Res<SmokePasses>, Res<ViewPass>, Res<SmokeRenderStats>),
 ) {
     work.clear();
-    let SmokeCache { frame: now, environments, moments, volumes, casters, shading, surroundings, shared } =
+    let SmokeCache { frame: now, environments, frames, volumes, casters, shading, surroundings, shared } =
         &mut *smoke_cache;
     *now = now.wrapping_add(1);
-    environments.begin(*now, changed_images.added.iter().chain(&changed_images.modified));
-    moments.begin(*now, &smoke);
+    let changed = || changed_images.added.iter().chain(&changed_images.modified);
+    environments.begin(*now, changed());
+    frames.moments.begin(*now, &smoke);
+    frames.live.begin(*now, changed());
     if !passes.are_ready(&pipelines) {
         // What a pass is given before it is ready is never done.
         for (view, ..) in &views {
@@ -155,8 +188,8 @@ pub(super) fn prepare_smoke(
     casters.begin(&casting, &device);
     for &entity in &casting {
         let volume = &smoke.volumes[&entity];
-        let Some(placed) = Placed::new(entity, volume) else { continue };
-        let Some(frame) = moments.show(entity, &volume.moment, &gpu, &mut work) else { continue };
+        let Some(frame) = frames.show(entity, volume, &images, &gpu, &mut work) else { continue };
+        let Some(placed) = Placed::new(entity, volume, frame.shape) else { continue };
         casters.add(entity, &placed, placed.sigma(volume), frame, &mut work);
     }
 
@@ -169,16 +202,16 @@ pub(super) fn prepare_smoke(
             let Some(volume) = smoke.volumes.get(&volume_entity) else {
                 continue;
             };
-            let Some(placed) = Placed::new(volume_entity, volume) else {
-                continue;
-            };
             let Some(light) = Light::of(volume_entity, volume, view, &smoke) else {
                 continue;
             };
             let Some(lit) = environments.light(light, &images, &smoke.suns, &gpu, &mut work) else {
                 continue;
             };
-            let Some(frame) = moments.show(volume_entity, &volume.moment, &gpu, &mut work) else {
+            let Some(frame) = frames.show(volume_entity, volume, &images, &gpu, &mut work) else {
+                continue;
+            };
+            let Some(placed) = Placed::new(volume_entity, volume, frame.shape) else {
                 continue;
             };
 
@@ -190,7 +223,7 @@ pub(super) fn prepare_smoke(
             // Light that scatters into a forward peak goes on for the solver of transport alone.
             let solver = volume.scattering.solver;
             let transport = choice.multiple && solver == ScatteringSolver::Transport && emission == Emission::Exact;
-            if choice.multiple && solver == ScatteringSolver::Diffusion && choice.share < DIFFUSION_SHARE {
+            if choice.multiple && solver == ScatteringSolver::Diffusion && choice.is_below(DIFFUSION_SHARE) {
                 warn_once!(
                     "smoke volume {volume_entity:?} is solved by diffusion but is thin: light hardly scatters twice in it, \
                      and ScatteringSolver::Transport is more accurate (said once)"
@@ -199,7 +232,7 @@ pub(super) fn prepare_smoke(
             let (uniform, unit) = placed.lighting(volume, &lit, &smoke, transport);
             #[cfg(feature = "reference")]
             let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
-            warn_of_limits(volume_entity, &uniform, frame.typical_depth());
+            warn_of_limits(volume_entity, &uniform, frame.typical_depth().unwrap_or(0.0));
             let around = Around::new(
                 volume_entity,
                 &placed.world_from_bundle,
@@ -271,8 +304,10 @@ pub(super) fn prepare_smoke(
     let in_use = |last_used: u32| now.wrapping_sub(last_used) < KEEP_FRAMES;
     environments.retain(in_use);
     shading.retain(in_use);
-    moments.retain(in_use, |volume| smoke.volumes.contains_key(&volume));
-    stats.set_memory(moments.memory());
+    let exists = |volume| smoke.volumes.contains_key(&volume);
+    frames.moments.retain(in_use, exists);
+    frames.live.retain(in_use, exists);
+    stats.set_memory(frames.memory());
     stats.retain_scattering(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
     surroundings.retain(|key, _| volumes.contains_key(key));

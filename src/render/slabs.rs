@@ -15,6 +15,7 @@ use bevy::core_pipeline::core_3d::{Transparent3d, TransparentSortingInfo3d};
 use bevy::core_pipeline::oit::OrderIndependentTransparencySettings;
 use bevy::pbr::{ExtractedAtmosphere, Transmissive3d};
 use bevy::prelude::*;
+use bevy::render::render_asset::RenderAssets;
 use bevy::render::render_phase::{
     Draw, DrawError, DrawFunctions, PhaseItemExtraIndex, SortedRenderPhase, TrackedRenderPass, ViewSortedRenderPhases,
 };
@@ -25,7 +26,7 @@ use bevy::render::render_resource::{
 };
 use bevy::render::renderer::RenderDevice;
 use bevy::render::sync_world::MainEntity;
-use bevy::render::texture::TextureCache;
+use bevy::render::texture::{GpuImage, TextureCache};
 use bevy::render::view::{ExtractedView, RenderVisibleEntities, ViewDepthTexture, ViewUniformOffset, ViewUniforms};
 
 use super::SmokeRenderStats;
@@ -91,6 +92,7 @@ fn cut(smoke: Range<f32>, items: &[f32]) -> Vec<(usize, Range<f32>)> {
 pub(super) fn cut_at_transparent_meshes(
     mut commands: Commands,
     smoke: Res<ExtractedSmoke>,
+    images: Res<RenderAssets<GpuImage>>,
     mut phases: ResMut<ViewSortedRenderPhases<Transparent3d>>,
     transmissive: Option<Res<ViewSortedRenderPhases<Transmissive3d>>>,
     draw_functions: Res<DrawFunctions<Transparent3d>>,
@@ -119,7 +121,7 @@ pub(super) fn cut_at_transparent_meshes(
         if !pipelines.and_then(|pipelines| pipelines.slabs.as_ref()).is_some_and(|slabs| slabs.are_ready(&cache)) {
             continue;
         }
-        let Some(depths) = depths_of_smoke(view, visible, &smoke) else {
+        let Some(depths) = depths_of_smoke(view, visible, &smoke, &images) else {
             continue;
         };
         // Glass shows what was drawn before it, so the smoke has to be.
@@ -160,11 +162,15 @@ fn depths_of_smoke(
     view: &ExtractedView,
     visible: &RenderVisibleEntities,
     smoke: &ExtractedSmoke,
+    images: &RenderAssets<GpuImage>,
 ) -> Option<Range<f32>> {
     let volumes = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
     volumes
         .iter()
-        .filter_map(|(_, volume)| Some(Placed::new(*volume, smoke.volumes.get(volume)?)?.depths(view)))
+        .filter_map(|(_, volume)| {
+            let extracted = smoke.volumes.get(volume)?;
+            Some(Placed::new(*volume, extracted, extracted.content.shape(images)?)?.depths(view))
+        })
         .reduce(|a, b| a.start.min(b.start)..a.end.max(b.end))
 }
 

@@ -9,7 +9,7 @@ use bevy::render::sync_world::MainEntity;
 use super::pass::DispatchCounter;
 use crate::scattering::ScatteringChoice;
 
-const PASS_COUNT: usize = 13 + cfg!(feature = "reference") as usize;
+const PASS_COUNT: usize = 15 + cfg!(feature = "reference") as usize;
 
 /// How many dispatches (and draws) each pass has made since the app started, in both worlds: the renderer counts, the
 /// main world reads. The scattering and the diffusion pass count their solves, each of which is many dispatches. GPU times
@@ -19,7 +19,9 @@ const PASS_COUNT: usize = 13 + cfg!(feature = "reference") as usize;
 pub struct SmokeRenderStats {
     pub(crate) environment: DispatchCounter,
     pub(crate) density: DispatchCounter,
+    pub(crate) live: DispatchCounter,
     pub(crate) coarse: DispatchCounter,
+    pub(crate) lattice: DispatchCounter,
     pub(crate) pair_matrix: DispatchCounter,
     pub(crate) incident_light: DispatchCounter,
     pub(crate) scattering: DispatchCounter,
@@ -37,7 +39,7 @@ pub struct SmokeRenderStats {
 }
 
 /// The moments of smoke on the GPU, which volumes that show the same one share, and the residuals of the baked frames that
-/// they blend. What lights a volume comes on top.
+/// they blend; live smoke counts as a moment. What lights a volume comes on top.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SmokeMemory {
     /// Moments there are now; those that nobody sees are let go after some seconds.
@@ -53,7 +55,9 @@ impl SmokeRenderStats {
     pub const PASSES: [&'static str; PASS_COUNT] = [
         super::environment::LABEL,
         super::density::LABEL,
+        super::live::LABEL,
         super::coarse::LABEL,
+        super::lattice::LABEL,
         super::pair_matrix::LABEL,
         super::incident_light::LABEL,
         super::scattering::LABEL,
@@ -102,7 +106,9 @@ impl SmokeRenderStats {
         [
             &self.environment,
             &self.density,
+            &self.live,
             &self.coarse,
+            &self.lattice,
             &self.pair_matrix,
             &self.incident_light,
             &self.scattering,

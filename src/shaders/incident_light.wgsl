@@ -131,6 +131,10 @@ fn gather(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(local_invocation_index) thread: u32,
 ) {
+    // Of live smoke, the CPU knows only how many there may be.
+    if group.x >= frame.rbf_count {
+        return;
+    }
     let rbf = rbfs[group.x];
     let reach = probe_reach(rbf, lighting.sigma_mean, frame.density_scale);
     let point = probe_position(rbf.center, reach, group.y);

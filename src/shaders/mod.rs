@@ -17,7 +17,9 @@ pub(crate) fn embed(app: &mut App) {
     load_shader_library!(app, "sum.wgsl");
     embedded_asset!(app, "environment.wgsl");
     embedded_asset!(app, "density.wgsl");
+    embedded_asset!(app, "live.wgsl");
     embedded_asset!(app, "coarse.wgsl");
+    embedded_asset!(app, "lattice.wgsl");
     embedded_asset!(app, "pair_matrix.wgsl");
     embedded_asset!(app, "incident_light.wgsl");
     embedded_asset!(app, "scattering_source.wgsl");
@@ -48,7 +50,9 @@ pub(crate) fn embed(app: &mut App) {
 pub(crate) struct Shaders {
     pub environment: Handle<Shader>,
     pub density: Handle<Shader>,
+    pub live: Handle<Shader>,
     pub coarse: Handle<Shader>,
+    pub lattice: Handle<Shader>,
     pub pair_matrix: Handle<Shader>,
     pub incident_light: Handle<Shader>,
     pub scattering_source: Handle<Shader>,
@@ -83,7 +87,9 @@ impl Shaders {
         Self {
             environment: load_embedded_asset!(assets, "environment.wgsl"),
             density: load_embedded_asset!(assets, "density.wgsl"),
+            live: load_embedded_asset!(assets, "live.wgsl"),
             coarse: load_embedded_asset!(assets, "coarse.wgsl"),
+            lattice: load_embedded_asset!(assets, "lattice.wgsl"),
             pair_matrix: load_embedded_asset!(assets, "pair_matrix.wgsl"),
             incident_light: load_embedded_asset!(assets, "incident_light.wgsl"),
             scattering_source: load_embedded_asset!(assets, "scattering_source.wgsl"),

@@ -63,6 +63,10 @@ fn relate(
 ) {
     let l = group.x;
     let count = frame.rbf_count;
+    // Of live smoke, the CPU knows only how many there may be.
+    if l >= count {
+        return;
+    }
     var sum = 0.0;
     for (var h = thread; h < count; h += 64u) {
         let k = pair(l, h);

@@ -69,11 +69,11 @@ fn sweep_isotropic(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    if is_skipped() {
-        return;
-    }
     let l = group.x;
     let count = frame.rbf_count;
+    if is_skipped() || l >= count {
+        return;
+    }
     let from_slot = slot(plan.from_slot);
     var sum = vec4(0.0);
     for (var h = thread; h < count; h += 64u) {
@@ -105,11 +105,11 @@ fn sweep(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    if is_skipped() {
-        return;
-    }
     let l = group.x;
     let count = frame.rbf_count;
+    if is_skipped() || l >= count {
+        return;
+    }
     let from_slot = slot(plan.from_slot);
     let k = thread % SH_COEFFICIENTS;
     let quarter = thread / SH_COEFFICIENTS;

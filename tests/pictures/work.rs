@@ -147,7 +147,7 @@ fn frames_are_unpacked_when_they_are_shown() {
     let mut app = scene(0.0);
     let world = app.app.world_mut();
     let mut volumes = world.query::<&mut SmokeVolume>();
-    let handle = volumes.single(world).unwrap().animation.clone();
+    let handle = volumes.single(world).unwrap().animation().unwrap().clone();
     let mut animation = world.resource::<Assets<SmokeAnimation>>().get(&handle).unwrap().clone();
     let mut frame = (**animation.frames.get(0).unwrap()).clone();
     let half = frame.ids.len() / 2;
@@ -156,7 +156,7 @@ fn frames_are_unpacked_when_they_are_shown() {
     let first = (**animation.frames.get(0).unwrap()).clone();
     animation.frames = vec![first, frame].into();
     let both = world.resource_mut::<Assets<SmokeAnimation>>().add(animation);
-    volumes.single_mut(world).unwrap().animation = both;
+    *volumes.single_mut(world).unwrap() = SmokeVolume::new(both);
     world.query::<&mut SmokePlayback>().single_mut(world).unwrap().paused = true;
     let first = draw(&mut app);
     let show = |frame| set::<SmokePlayback>(move |playback| *playback = SmokePlayback::at_frame(frame));
@@ -178,7 +178,7 @@ fn smoke_without_rbfs_is_black_but_there() {
     let mut app = app();
     let (volume, medium, environment, transform) = smoke(&mut app);
     let mut animations = app.app.world_mut().resource_mut::<Assets<SmokeAnimation>>();
-    let mut animation = animations.get(&volume.animation).unwrap().clone();
+    let mut animation = animations.get(volume.animation().unwrap()).unwrap().clone();
     let mut frame = (**animation.frames.get(0).unwrap()).clone();
     frame.rbfs.rbfs.clear();
     frame.ids.clear();

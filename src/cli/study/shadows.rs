@@ -17,8 +17,9 @@ use self::ball::BallRow;
 use self::floor::FloorRow;
 use super::flicker::DEFAULT_SCENE;
 use crate::bundle::SmokeAnimation;
+use crate::cli::input::read_bundle;
 use crate::cli::output::print;
-use crate::cli::render::{parse_size, read_bundle};
+use crate::cli::render::parse_size;
 use crate::cli::scene::Scene;
 use crate::reference::Grid;
 

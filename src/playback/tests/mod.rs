@@ -197,8 +197,8 @@ impl Theatre {
             let loaded = |animation| world.resource::<AssetServer>().load_state(animation);
             let mut handles = world.iter_entities().filter_map(|entity| entity.get::<SmokeVolume>());
             handles.all(|volume| {
-                !loaded(volume.animation.id()).is_loading()
-                    || world.resource::<Assets<SmokeAnimation>>().contains(&volume.animation)
+                !loaded(volume.animation().unwrap().id()).is_loading()
+                    || world.resource::<Assets<SmokeAnimation>>().contains(volume.animation().unwrap())
             }) && world.resource::<SmokeStreamingStats>().tasks == 0
         });
         // What came last has been shown.

@@ -243,7 +243,8 @@ fn another_animation_is_ready_anew() {
     theatre.wait();
     theatre.step(2.0);
     let other = theatre.app.world_mut().resource_mut::<Assets<SmokeAnimation>>().add(animation(5, 0.5));
-    theatre.app.world_mut().get_mut::<SmokeVolume>(volume).unwrap().animation = other;
+    theatre.app.world_mut().get_mut::<SmokeVolume>(volume).unwrap().density =
+        crate::volume::SmokeDensity::Animation(other);
     theatre.step(1.0);
     assert_eq!((theatre.shown(volume), theatre.heard().ready), (Some(2.5), 2));
     theatre.step(1.0);
@@ -279,7 +280,7 @@ fn playback_starts_when_smoke_appears() {
     let mut theatre = Theatre::new(file(50, 0.0));
     let volume = theatre.play(SmokePlayback::once());
     theatre.wait_until("it is loaded", |world| {
-        world.resource::<AssetServer>().is_loaded(&world.get::<SmokeVolume>(volume).unwrap().animation)
+        world.resource::<AssetServer>().is_loaded(world.get::<SmokeVolume>(volume).unwrap().animation().unwrap())
             || !world.resource::<Assets<SmokeAnimation>>().is_empty()
     });
     for _ in 0..3 {

@@ -10,6 +10,7 @@ mod density;
 mod diffusion;
 mod environment;
 mod incident_light;
+mod lattice;
 mod moments;
 mod outgoing;
 mod pair_matrix;

@@ -5,6 +5,7 @@ use bevy::render::render_resource::TextureFormat;
 use serde::Serialize;
 
 use super::Smoke;
+use crate::cli::input::Smoke as Input;
 use crate::cli::path::surfaces_in_bundle_space;
 use crate::cli::render::{MESH_FRAMES, PictureKind, average, spawn_scene};
 use crate::cli::scene::{Scene, SceneSphere};
@@ -13,6 +14,7 @@ use crate::reference::compare::image_error;
 use crate::reference::path::{self, Environment, Events, alpha};
 use crate::reference::{Medium, Ray};
 use crate::scattering::{ScatteringEvents, SmokeScattering};
+use crate::volume::LiveDensity;
 
 /// The ball's distance from the middle of the smoke, and its radius, in sides of the box: close by, and clear of it.
 const DISTANCE: f64 = 1.1;
@@ -91,7 +93,8 @@ fn draw(scene: &Scene, smoke: &Smoke, events: Events) -> anyhow::Result<Vec<[f32
         Events::All => ScatteringEvents::Multiple,
     };
     let scattering = SmokeScattering { events, ..Default::default() };
-    let (_, unit) = spawn_scene(&mut headless, scene, smoke.animation.clone(), scattering, PictureKind::Exr)?;
+    let baked = Input::Baked(smoke.animation.clone());
+    let (_, unit) = spawn_scene(&mut headless, scene, baked, LiveDensity::LATTICE, scattering, PictureKind::Exr)?;
     headless.settle()?;
     (0..MESH_FRAMES).for_each(|_| headless.app.update());
     let pixels = average(&headless.float_pixels(), size, RAYS, unit);
