@@ -37,7 +37,7 @@
 //!
 //! The default library is what a game needs at run time. `bake` adds density readers (OpenVDB, NumPy), the RBF fit
 //! and the bundle writer; `reference` adds a double-precision CPU twin of every GPU pass; `cli` adds the `smoke`
-//! command.
+//! command; `egui` adds a panel that edits smoke while an app runs.
 
 #![warn(missing_docs)]
 
@@ -47,6 +47,7 @@ pub mod bundle;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;
+pub mod debug;
 pub mod density;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
@@ -83,6 +84,7 @@ use bevy::asset::AssetApp;
 pub mod prelude {
     pub use crate::SmokePlugin;
     pub use crate::bundle::SmokeAnimation;
+    pub use crate::debug::SmokeDebugView;
     pub use crate::lighting::SmokeEnvironment;
     pub use crate::medium::SmokeMedium;
     pub use crate::occluder::{OccluderShape, OccluderSphere, SmokeOccluder, SmokeOccluderFit};
@@ -115,6 +117,7 @@ impl Plugin for SmokePlugin {
                 volume::SmokeVolumePlugin,
                 playback::SmokePlaybackPlugin,
                 occluder::SmokeOccluderPlugin,
+                debug::SmokeDebugPlugin,
                 render::SmokeRenderPlugin,
             ));
     }

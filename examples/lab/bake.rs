@@ -8,9 +8,11 @@ use bevy::tasks::futures::check_ready;
 use bevy::tasks::{AsyncComputeTaskPool, Task};
 use bevy_egui::{EguiContexts, EguiPrimaryContextPass, egui};
 use bevy_smoke::bake::{BakeError, BakeSettings, Segment, Sequence, SequenceProgress, bake_sequence};
+use bevy_smoke::density::{self, DensityError, DensityGrid};
 use bevy_smoke::panel::SmokePanel;
+use bevy_smoke::prelude::*;
 
-use super::open::Queue;
+use super::open::{Queue, put_on_ground};
 
 /// The bakes that are going on.
 #[derive(Resource, Default)]
@@ -20,6 +22,8 @@ struct Bake {
     output: PathBuf,
     progress: Arc<Mutex<Progress>>,
     task: Task<Result<(), BakeError>>,
+    /// The first file's density, to be shown as it is until the bundle is there.
+    preview: Option<Task<Result<DensityGrid, DensityError>>>,
 }
 
 /// How far it is.
@@ -50,6 +54,8 @@ impl Bakes {
     pub fn begin(&mut self, inputs: Vec<PathBuf>) {
         let output = free_name(&inputs[0]);
         let progress = Arc::new(Mutex::new(Progress { share: 0.0, text: "reading".into() }));
+        let first = inputs[0].clone();
+        let preview = AsyncComputeTaskPool::get().spawn(async move { density::read(first, None) });
         let (to, told) = (output.clone(), progress.clone());
         let task = AsyncComputeTaskPool::get().spawn(async move {
             let sequence = Sequence { inputs: &inputs, grid: None, segment: Segment::WHOLE, output: &to };
@@ -58,7 +64,7 @@ impl Bakes {
             };
             bake_sequence(&sequence, &BakeSettings::default(), &tell).map(drop)
         });
-        self.0.push(Bake { output, progress, task });
+        self.0.push(Bake { output, progress, task, preview: Some(preview) });
     }
 }
 
@@ -76,7 +82,31 @@ pub struct BakePlugin;
 
 impl Plugin for BakePlugin {
     fn build(&self, app: &mut App) {
-        app.init_resource::<Bakes>().add_systems(Update, finish).add_systems(EguiPrimaryContextPass, show);
+        app.init_resource::<Bakes>()
+            .add_systems(Update, (preview, finish).chain())
+            .add_systems(EguiPrimaryContextPass, show);
+    }
+}
+
+/// Shows density as it was read.
+fn preview(
+    mut bakes: ResMut<Bakes>,
+    mut images: ResMut<Assets<Image>>,
+    panel: Res<SmokePanel>,
+    mut volumes: Query<(&mut SmokeVolume, &mut Transform)>,
+) {
+    for bake in &mut bakes.0 {
+        let Some(read) = bake.preview.as_mut().and_then(check_ready) else { continue };
+        bake.preview = None;
+        // What is wrong with a file, the bake will say.
+        let Ok(grid) = read else { continue };
+        let Some((mut volume, mut transform)) = panel.volume.and_then(|volume| volumes.get_mut(volume).ok()) else {
+            continue;
+        };
+        let max_density = grid.values.iter().copied().fold(0.0, f32::max);
+        let live = LiveDensity { max_density, ..LiveDensity::new(images.add(LiveDensity::image_of(&grid))) };
+        volume.density = SmokeDensity::Live(live.still());
+        put_on_ground(&mut transform, grid.shape.half_extent().y);
     }
 }
 

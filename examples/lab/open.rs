@@ -151,11 +151,10 @@ fn show(
                 commands.spawn(DynamicWorldRoot(scene.clone()));
             }
             (Asset::Smoke(animation), Some((mut volume, _, mut playback, mut transform))) => {
-                volume.animation = animation.clone();
+                *volume = SmokeVolume::new(animation.clone());
                 *playback = SmokePlayback::default();
-                // On the ground.
                 let half = animations.get(animation).map_or(0.5, |animation| animation.shape.half_extent().y);
-                transform.translation.y = half * transform.scale.y;
+                put_on_ground(&mut transform, half);
             }
             (Asset::Image(image), Some((_, mut environment, ..))) => {
                 *environment = SmokeEnvironment::equirect(image.clone(), 1000.0);
@@ -166,4 +165,9 @@ fn show(
         panel.notice = None;
         false
     });
+}
+
+/// Moves a volume so that its box, of a half height in its own units, stands on the ground.
+pub fn put_on_ground(transform: &mut Transform, half_height: f32) {
+    transform.translation.y = half_height * transform.scale.y;
 }

@@ -1,15 +1,17 @@
-//! The optical properties of a volume.
+//! The optical properties of a volume, and what is drawn of it.
 
 use bevy::ecs::system::SystemParam;
 use bevy::prelude::*;
 use bevy_egui::egui::Ui;
 
 use super::widgets;
+use crate::debug::SmokeDebugView;
 use crate::medium::SmokeMedium;
 
 #[derive(SystemParam)]
 pub(super) struct Media<'w, 's> {
     media: Query<'w, 's, &'static mut SmokeMedium>,
+    views: Query<'w, 's, &'static SmokeDebugView>,
 }
 
 impl Media<'_, '_> {
@@ -22,5 +24,25 @@ impl Media<'_, '_> {
         next.albedo = LinearRgba::from_f32_array_no_alpha(albedo).with_alpha(next.albedo.alpha);
         widgets::number(ui, "g", &mut next.g, -SmokeMedium::MAX_ASYMMETRY..=SmokeMedium::MAX_ASYMMETRY);
         medium.set_if_neq(next);
+    }
+
+    /// Which view of it.
+    pub fn show_view(&self, ui: &mut Ui, volume: Entity, commands: &mut Commands) {
+        let before = self.views.get(volume).copied().unwrap_or_default();
+        let mut next = before;
+        let views = [
+            (SmokeDebugView::None, "picture"),
+            (SmokeDebugView::Density, "density"),
+            (SmokeDebugView::Rbfs, "RBFs"),
+            (SmokeDebugView::Residual, "residual"),
+            (SmokeDebugView::Single, "scattered once"),
+            (SmokeDebugView::Multiple, "scattered again"),
+            (SmokeDebugView::Probes, "probes"),
+            (SmokeDebugView::Spheres, "occluder spheres"),
+        ];
+        widgets::choice(ui, "view", &mut next, &views);
+        if next != before {
+            commands.entity(volume).insert(next);
+        }
     }
 }

@@ -161,6 +161,7 @@ fn title(entity: Entity, name: Option<&Name>) -> String {
 
 impl Shown<'_, '_> {
     fn show_volume(&mut self, ui: &mut egui::Ui, panel: &mut SmokePanel, volume: Entity) {
+        widgets::section(ui, "View", |ui| self.medium.show_view(ui, volume, &mut self.commands));
         widgets::section(ui, "Medium", |ui| self.medium.show(ui, volume));
         widgets::section(ui, "Environment", |ui| self.environment.show(ui, panel, volume));
         widgets::section(ui, "Scattering", |ui| self.scattering.show(ui, volume));

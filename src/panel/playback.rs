@@ -27,7 +27,7 @@ impl Playback<'_, '_> {
         let modes =
             [(PlaybackMode::Loop, "loop"), (PlaybackMode::Once, "once"), (PlaybackMode::PingPong, "there and back")];
         widgets::choice(ui, "mode", &mut next.mode, &modes);
-        if let Some(animation) = self.animations.get(&volume.animation) {
+        if let Some(animation) = volume.animation().and_then(|animation| self.animations.get(animation)) {
             let count = animation.frames.len() as u32;
             scrub(ui, &mut next, count);
             ui.label(format!("{count} frames, {} a second.", animation.frames_per_second));

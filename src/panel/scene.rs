@@ -26,7 +26,7 @@ use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
 use crate::playback::SmokePlayback;
 use crate::scattering::SmokeScattering;
-use crate::volume::SmokeVolume;
+use crate::volume::{SmokeDensity, SmokeVolume};
 
 /// Why a scene cannot be saved.
 #[derive(Debug, thiserror::Error)]
@@ -61,7 +61,11 @@ pub fn scene_text(world: &World) -> Result<String, SceneError> {
                 Some(SmokeEnvironment::Equirect { image, .. }) => image.path().is_some(),
                 _ => true,
             };
-            if volume.animation.path().is_none() || !image {
+            let density = match &volume.density {
+                SmokeDensity::Animation(animation) => animation.path().is_some(),
+                SmokeDensity::Live(live) => live.image.path().is_some(),
+            };
+            if !(density && image) {
                 return Err(SceneError::InMemory(entity.id()));
             }
         }

@@ -12,6 +12,7 @@
 
 pub mod coarse;
 pub mod compare;
+pub mod debug;
 pub mod density;
 pub mod diffusion;
 pub mod environment;

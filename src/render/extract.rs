@@ -15,6 +15,7 @@ use bevy::render::texture::GpuImage;
 use super::lamp::Lamp;
 use super::live::Live;
 use super::view::Emission;
+use crate::debug::SmokeDebugView;
 use crate::density::GridShape;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
@@ -55,6 +56,7 @@ pub(super) struct ExtractedVolume {
     pub medium: SmokeMedium,
     pub environment: SmokeEnvironment,
     pub scattering: SmokeScattering,
+    pub debug: SmokeDebugView,
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
     pub layers: RenderLayers,
@@ -141,6 +143,7 @@ pub(super) fn extract_smoke(
             Option<&RenderLayers>,
             &InheritedVisibility,
             Has<NotShadowCaster>,
+            Option<&SmokeDebugView>,
         )>,
     >,
     #[cfg(feature = "reference")] papers: Extract<Query<&SmokePaper>>,
@@ -162,8 +165,10 @@ pub(super) fn extract_smoke(
     ),
 ) {
     smoke.volumes.clear();
-    for (entity, volume, moment, medium, environment, scattering, transform, layers, visibility, no_caster) in &volumes
+    for (entity, volume, moment, medium, environment, scattering, transform, layers, visibility, no_caster, debug) in
+        &volumes
     {
+        let debug = debug.copied().unwrap_or_default();
         let content = match (&volume.density, &moment.0) {
             (SmokeDensity::Animation(_), Some(moment)) => Content::Baked(moment.clone()),
             // Nothing has come yet.
@@ -179,7 +184,8 @@ pub(super) fn extract_smoke(
             world_from_bundle: transform.affine(),
             medium: clamped,
             environment: environment.clone(),
-            scattering: *scattering,
+            scattering: debug.scattering(*scattering),
+            debug,
             #[cfg(feature = "reference")]
             paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),

@@ -24,6 +24,7 @@ use bevy::render::texture::GpuImage;
 use bevy::render::view::{ExtractedView, RenderVisibleEntities};
 
 use super::casters::Casters;
+use super::debug::{self, DebugPasses};
 use super::extract::{Content, ExtractedSmoke, ExtractedVolume};
 use super::footprint::Footprints;
 use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, texture_3d};
@@ -39,6 +40,7 @@ use super::shading::{ShadedBy, Shading, casting};
 use super::surroundings::{Around, Surroundings};
 use super::view::{Emission, Glow, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokeMemory, SmokePasses, SmokeRenderStats, SmokeWork};
+use crate::debug::SmokeDebugView;
 use crate::scattering::ScatteringSolver;
 use crate::volume::SmokeVolume;
 
@@ -126,6 +128,8 @@ pub(super) struct Gpu<'a> {
     pub cache: &'a PipelineCache,
     pub passes: &'a SmokePasses,
     pub view_pass: &'a ViewPass,
+    /// Once they have been asked for, and are there.
+    pub debug: Option<&'a DebugPasses>,
     pub sampler: &'a Sampler,
     pub footprints: &'a Buffer,
     /// In the place of the casters' densities, where there are no casters.
@@ -147,7 +151,12 @@ pub(super) fn prepare_smoke(
     queue: Res<RenderQueue>,
     pipelines: Res<PipelineCache>,
     changed_images: Res<ExtractedAssets<GpuImage>>,
-    (passes, view_pass, stats): (Res<SmokePasses>, Res<ViewPass>, Res<SmokeRenderStats>),
+    (passes, view_pass, stats, debug_passes): (
+        Res<SmokePasses>,
+        Res<ViewPass>,
+        Res<SmokeRenderStats>,
+        Option<Res<DebugPasses>>,
+    ),
 ) {
     work.clear();
     let SmokeCache { frame: now, environments, frames, volumes, casters, shading, surroundings, shared } =
@@ -177,6 +186,7 @@ pub(super) fn prepare_smoke(
         cache: &pipelines,
         passes: &passes,
         view_pass: &view_pass,
+        debug: debug_passes.as_deref().filter(|passes| passes.are_ready(&pipelines)),
         sampler: &shared.sampler,
         footprints: &shared.footprints,
         nothing: &shared.nothing,
@@ -202,6 +212,9 @@ pub(super) fn prepare_smoke(
             let Some(volume) = smoke.volumes.get(&volume_entity) else {
                 continue;
             };
+            if volume.debug == SmokeDebugView::Probes || volume.debug.has_passes() && gpu.debug.is_none() {
+                continue;
+            }
             let Some(light) = Light::of(volume_entity, volume, view, &smoke) else {
                 continue;
             };
@@ -253,6 +266,7 @@ pub(super) fn prepare_smoke(
                 choice,
                 solver,
                 tolerance: volume.scattering.clamped_tolerance(),
+                debug: volume.debug,
                 #[cfg(feature = "reference")]
                 paper: volume.paper,
             };
@@ -275,7 +289,7 @@ pub(super) fn prepare_smoke(
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
             let uniform = placed.smoke_uniform(view, clip_from_view, eye, volume, unit * camera.exposure, glows);
-            if let Some(uniform) = uniform {
+            if let Some(uniform) = uniform.map(|uniform| debug::adapt(uniform, volume.debug)) {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
                 let (distance, depths) = (placed.distance(view), placed.depths(view));
                 drawn.push(ViewSmokeVolume { distance, depths, emission, bind_group });

@@ -34,6 +34,7 @@ pub(crate) fn embed(app: &mut App) {
     embedded_asset!(app, "shadow_mask.wgsl");
     embedded_asset!(app, "mesh_shadows.wgsl");
     embedded_asset!(app, "view.wgsl");
+    embedded_asset!(app, "debug.wgsl");
     #[cfg(feature = "reference")]
     {
         load_shader_library!(app, "paper.wgsl");
@@ -67,6 +68,7 @@ pub(crate) struct Shaders {
     pub shadow_mask: Handle<Shader>,
     pub mesh_shadows: Handle<Shader>,
     pub view: Handle<Shader>,
+    pub debug: Handle<Shader>,
     #[cfg(feature = "reference")]
     pub paper: PaperShaders,
 }
@@ -104,6 +106,7 @@ impl Shaders {
             shadow_mask: load_embedded_asset!(assets, "shadow_mask.wgsl"),
             mesh_shadows: load_embedded_asset!(assets, "mesh_shadows.wgsl"),
             view: load_embedded_asset!(assets, "view.wgsl"),
+            debug: load_embedded_asset!(assets, "debug.wgsl"),
             #[cfg(feature = "reference")]
             paper: PaperShaders {
                 single: load_embedded_asset!(assets, "paper_single.wgsl"),
@@ -193,8 +196,11 @@ mod tests {
         validate("diffusion_source.wgsl", include_str!("diffusion_source.wgsl"), &[]);
         validate("diffusion_solve.wgsl", include_str!("diffusion_solve.wgsl"), &[]);
         validate("diffusion_scatter.wgsl", include_str!("diffusion_scatter.wgsl"), &[]);
-        validate("outgoing.wgsl", include_str!("outgoing.wgsl"), &[]);
-        validate("volume.wgsl", include_str!("volume.wgsl"), &[]);
+        validate("debug.wgsl", include_str!("debug.wgsl"), &[]);
+        for defs in [&[][..], &["SCATTERED_ONLY"]] {
+            validate("outgoing.wgsl", include_str!("outgoing.wgsl"), defs);
+            validate("volume.wgsl", include_str!("volume.wgsl"), defs);
+        }
         validate("shadow_probes.wgsl", include_str!("shadow_probes.wgsl"), &[]);
         validate("paper_single.wgsl", include_str!("paper_single.wgsl"), &[]);
         validate("paper_system.wgsl", include_str!("paper_system.wgsl"), &[]);

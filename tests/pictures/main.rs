@@ -5,6 +5,7 @@
 
 mod cameras;
 mod compositing;
+mod debug;
 mod effects;
 mod endurance;
 mod environments;

@@ -6,6 +6,7 @@
 //! adapters whose trilinear weights have 8 bits; passes that touch no f16 are held to 2e-5.
 
 mod coarse;
+mod debug;
 mod density;
 mod diffusion;
 mod environment;
