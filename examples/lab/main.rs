@@ -8,9 +8,9 @@
 //! that a game loads, by the panel's button, and opened again (`.scn.ron`). F1 closes the panel and opens it again; drag to
 //! turn the camera, scroll to come nearer.
 
-mod bake;
-mod camera;
-mod open;
+pub mod bake;
+pub mod camera;
+pub mod open;
 
 use std::path::PathBuf;
 
@@ -44,9 +44,9 @@ fn main() -> AppExit {
         .run()
 }
 
-/// The files to begin with: those that were named, or the examples' plume.
+/// The files to begin with: those that were named, or one of the examples'.
 fn first(files: &[PathBuf]) -> Vec<PathBuf> {
-    if files.is_empty() { vec!["plume.smoke".into()] } else { files.to_vec() }
+    if files.is_empty() { vec!["billow.smoke".into()] } else { files.to_vec() }
 }
 
 /// Light, ground, camera, and smoke that shows nothing as yet.
@@ -68,7 +68,7 @@ pub fn setup(
         Name::new("ground"),
         Mesh3d(meshes.add(Plane3d::default().mesh().size(40.0, 40.0))),
         MeshMaterial3d(materials.add(StandardMaterial {
-            base_color: Color::linear_rgb(0.22, 0.2, 0.18),
+            base_color: Color::linear_rgb(0.1, 0.09, 0.08),
             perceptual_roughness: 0.9,
             ..default()
         })),
@@ -76,14 +76,14 @@ pub fn setup(
     let cascades = CascadeShadowConfigBuilder { num_cascades: 2, maximum_distance: 25.0, ..default() };
     commands.spawn((
         Name::new("sun"),
-        DirectionalLight { illuminance: 1500.0, shadow_maps_enabled: true, ..default() },
+        DirectionalLight { illuminance: 900.0, shadow_maps_enabled: true, ..default() },
         cascades.build(),
         Transform::default().looking_to(Vec3::new(-1.0, -0.8, -0.35), Vec3::Y),
     ));
     commands.spawn((
         Name::new("lamp"),
-        PointLight { color: Color::srgb(1.0, 0.6, 0.3), intensity: 60_000.0, ..default() },
-        Transform::from_xyz(1.6, 0.8, 1.2),
+        PointLight { color: Color::srgb(1.0, 0.6, 0.3), intensity: 40_000.0, ..default() },
+        Transform::from_xyz(1.2, 1.0, 0.8),
     ));
     let sky = EnvironmentMapLight::hemispherical_gradient(
         &mut images,
@@ -94,9 +94,9 @@ pub fn setup(
     commands.spawn((
         Name::new("camera"),
         Camera3d::default(),
-        Camera { clear_color: ClearColorConfig::Custom(Color::srgb(0.32, 0.4, 0.5)), ..default() },
+        Camera { clear_color: ClearColorConfig::Custom(Color::srgb(0.2, 0.26, 0.34)), ..default() },
         Exposure::INDOOR,
-        EnvironmentMapLight { intensity: 300.0, ..sky },
+        EnvironmentMapLight { intensity: 180.0, ..sky },
         camera::Orbit { center: Vec3::new(-0.9, 1.4, 0.0), distance: 6.5, turn: 0.25, tilt: -0.12 },
     ));
 }

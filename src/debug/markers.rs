@@ -21,7 +21,7 @@ pub(super) struct Markers {
 }
 
 /// Radius of a probe's marker, in radii of its RBF.
-const PROBE_SIZE: f32 = 0.06;
+const PROBE_SIZE: f32 = 0.1;
 const CENTER: LinearRgba = LinearRgba::WHITE;
 const AROUND: LinearRgba = LinearRgba::rgb(1.0, 0.7, 0.0);
 const SPHERE: LinearRgba = LinearRgba::rgb(1.0, 0.0, 1.0);

@@ -108,17 +108,17 @@ fn show(mut contexts: EguiContexts, mut panel: ResMut<SmokePanel>, mut shown: Sh
     // The panel's own state is no news to systems that ask whether it has changed.
     let panel = panel.bypass_change_detection();
     let mut open = panel.open;
-    egui::Window::new("Smoke").default_pos([8.0, 8.0]).default_width(320.0).vscroll(true).open(&mut open).show(
-        ctx,
-        |ui| {
-            notice(ui, panel);
-            match select(ui, panel, &shown.volumes) {
-                Some(volume) => shown.show_volume(ui, panel, volume),
-                None => drop(ui.label("There is no smoke.")),
-            }
-            shown.show_scene(ui, panel);
-        },
-    );
+    // As high as there is room for.
+    let size = [330.0, ctx.viewport_rect().height() - 60.0];
+    let window = egui::Window::new("Smoke").default_pos([8.0, 8.0]).default_size(size).vscroll(true);
+    window.open(&mut open).show(ctx, |ui| {
+        notice(ui, panel);
+        match select(ui, panel, &shown.volumes) {
+            Some(volume) => shown.show_volume(ui, panel, volume),
+            None => drop(ui.label("There is no smoke.")),
+        }
+        shown.show_scene(ui, panel);
+    });
     panel.open = open;
 }
 

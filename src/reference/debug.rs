@@ -1,6 +1,6 @@
 //! Debug: the fields that a volume's debug view shows, in false colour.
 
-use glam::DVec3;
+use glam::{DVec3, UVec3};
 
 use super::density::gaussian;
 use super::volume::Volume;
@@ -29,19 +29,20 @@ pub fn field(field: Field, rbfs: &[Rbf], density: &Grid, max_density: f64) -> Vo
     let cells = (0..padded.len()).map(|index| {
         let cell = padded.cell(index);
         let inside = cell.min_element() > 0 && cell.cmple(shape.dims).all();
-        let value = |field: Field| match field {
-            _ if !inside => 0.0,
-            Field::Density => density.values[shape.index(cell - 1)],
-            Field::Rbfs => rbfs.iter().map(|rbf| gaussian(rbf, center(shape, cell - 1))).sum(),
-            Field::Residual => unreachable!("a difference of the other two"),
+        // Outside the box there is nothing, in the colour of the nearest cell.
+        let nearest = cell.clamp(UVec3::ONE, shape.dims) - 1;
+        let density = density.values[shape.index(nearest)] / max_density;
+        let gaussians: f64 = rbfs.iter().map(|rbf| gaussian(rbf, center(shape, nearest))).sum::<f64>() / max_density;
+        let (color, scaled) = match field {
+            Field::Density => (by_density(density), density),
+            Field::Rbfs => (by_density(gaussians), gaussians),
+            Field::Residual => {
+                let residual = density - gaussians;
+                let red = if residual.abs() < NOTHING { 0.5 } else { f64::from(u8::from(residual > 0.0)) };
+                (DVec3::new(red, 0.0, 1.0 - red), residual.abs())
+            }
         };
-        if field == Field::Residual {
-            let scaled = (value(Field::Density) - value(Field::Rbfs)) / max_density;
-            let red = if scaled.abs() < NOTHING { 0.5 } else { f64::from(u8::from(scaled > 0.0)) };
-            return (DVec3::new(red, 0.0, 1.0 - red), scaled.abs());
-        }
-        let scaled = value(field).max(0.0) / max_density;
-        (by_density(scaled), scaled)
+        (color, if inside { scaled } else { 0.0 })
     });
     let (radiance, density) = cells.unzip();
     Volume { shape, radiance, density }
@@ -55,8 +56,6 @@ pub fn by_density(t: f64) -> DVec3 {
 
 #[cfg(test)]
 mod tests {
-    use glam::UVec3;
-
     use super::*;
 
     #[test]

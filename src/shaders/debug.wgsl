@@ -31,10 +31,6 @@ fn gaussians(cell: vec3<i32>) -> f32 {
     return sum;
 }
 
-fn is_inside(cell: vec3<i32>) -> bool {
-    return all(cell >= vec3(0)) && all(cell < vec3<i32>(frame.dims));
-}
-
 fn density_at(cell: vec3<i32>) -> f32 {
     return textureLoad(density, cell, 0).x;
 }
@@ -44,8 +40,14 @@ fn by_density(t: f32) -> vec3<f32> {
     return saturate(vec3(2.0 * t - 1.0, 1.0 - abs(2.0 * t - 1.0), 1.0 - 2.0 * t));
 }
 
+// Between cells colours are interpolated beside fields: outside the box they are those of the nearest cell.
 fn store(id: vec3<u32>, color: vec3<f32>, scaled: f32) {
-    textureStore(volume, id, vec4(color, min(scaled, MAX_HALF)));
+    let inside = all(id > vec3(0u)) && all(id <= frame.dims);
+    textureStore(volume, id, vec4(color, select(0.0, min(scaled, MAX_HALF), inside)));
+}
+
+fn nearest_cell(id: vec3<u32>) -> vec3<i32> {
+    return vec3<i32>(clamp(id, vec3(1u), frame.dims)) - 1;
 }
 
 fn show_by_density(id: vec3<u32>, value: f32) {
@@ -55,28 +57,16 @@ fn show_by_density(id: vec3<u32>, value: f32) {
 
 @compute @workgroup_size(8, 8, 4)
 fn show_density(@builtin(global_invocation_id) id: vec3<u32>) {
-    if any(id >= frame.dims + 2u) {
-        return;
+    if all(id < frame.dims + 2u) {
+        show_by_density(id, density_at(nearest_cell(id)));
     }
-    let cell = vec3<i32>(id) - 1;
-    var value = 0.0;
-    if is_inside(cell) {
-        value = density_at(cell);
-    }
-    show_by_density(id, value);
 }
 
 @compute @workgroup_size(8, 8, 4)
 fn show_rbfs(@builtin(global_invocation_id) id: vec3<u32>) {
-    if any(id >= frame.dims + 2u) {
-        return;
+    if all(id < frame.dims + 2u) {
+        show_by_density(id, gaussians(nearest_cell(id)));
     }
-    let cell = vec3<i32>(id) - 1;
-    var value = 0.0;
-    if is_inside(cell) {
-        value = gaussians(cell);
-    }
-    show_by_density(id, value);
 }
 
 @compute @workgroup_size(8, 8, 4)
@@ -84,13 +74,10 @@ fn show_residual(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(id >= frame.dims + 2u) {
         return;
     }
-    let cell = vec3<i32>(id) - 1;
-    var value = 0.0;
-    if is_inside(cell) {
-        value = density_at(cell) - gaussians(cell);
-    }
+    let cell = nearest_cell(id);
+    let value = density_at(cell) - gaussians(cell);
     let scaled = abs(value) * frame.density_scale;
-    // Between cells colours are interpolated beside densities: where there is nothing but rounding, they are in between.
+    // Where there is nothing but rounding, it is neither.
     let red = select(0.5 + 0.5 * sign(value), 0.5, scaled < NOTHING);
     store(id, vec3(red, 0.0, 1.0 - red), scaled);
 }
