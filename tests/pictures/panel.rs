@@ -30,7 +30,7 @@ struct Panel {
 }
 
 /// Pixels of the picture of the panel.
-const PANEL: UVec2 = UVec2::new(360, 1600);
+const PANEL: UVec2 = UVec2::new(360, 240);
 
 impl Panel {
     fn new(environment: SmokeEnvironment) -> Self {
@@ -78,7 +78,8 @@ impl Panel {
         image.texture_descriptor.usage |= TextureUsages::COPY_SRC;
         let image = world.resource_mut::<Assets<Image>>().add(image);
         let target = RenderTarget::Image(image.clone().into());
-        let context = world.spawn((Camera2d, Camera { order: 1, ..default() }, target, PrimaryEguiContext)).id();
+        let camera = (Camera2d, Camera { order: 1, ..default() }, Msaa::Off, target);
+        let context = world.spawn((camera, PrimaryEguiContext)).id();
         // No window gives it the keyboard.
         world.insert_resource(FocusedNonWindowEguiContext(context));
         let mut panel = Self { app, volume, eye, context, image };
@@ -126,9 +127,7 @@ impl Panel {
             self.app.app.world_mut().write_message(EguiInputEvent { context: self.context, event });
         }
         self.app.app.update();
-        let e = self.app.app.world().get::<EguiOutput>(self.context).unwrap().platform_output.events.clone();
-        eprintln!("DBG {key:?} {e:?}");
-        e
+        self.app.app.world().get::<EguiOutput>(self.context).unwrap().platform_output.events.clone()
     }
 
     /// The name of the control that the tabulator key goes to next; empty where it has none, and for headings.
@@ -254,7 +253,7 @@ fn check(panel: &mut Panel, controls: &[Control]) {
     for (name, key, changes) in controls {
         let (picture, work) = (panel.picture(), panel.work());
         panel.focus(name);
-        for _ in 0..5 {
+        for _ in 0..3 {
             panel.press(*key);
         }
         panel.wait();
