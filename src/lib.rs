@@ -47,6 +47,7 @@ pub mod bundle;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;
+pub mod constellation;
 pub mod debug;
 pub mod density;
 #[cfg(feature = "cli")]
@@ -61,6 +62,7 @@ pub mod panel;
 #[cfg(feature = "reference")]
 pub mod paper;
 pub mod playback;
+pub mod quality;
 mod random;
 pub mod rbf;
 #[cfg(feature = "reference")]
@@ -84,11 +86,13 @@ use bevy::asset::AssetApp;
 pub mod prelude {
     pub use crate::SmokePlugin;
     pub use crate::bundle::SmokeAnimation;
+    pub use crate::constellation::{ConstellationShading, SmokeConstellation};
     pub use crate::debug::SmokeDebugView;
     pub use crate::lighting::SmokeEnvironment;
     pub use crate::medium::SmokeMedium;
     pub use crate::occluder::{OccluderShape, OccluderSphere, SmokeOccluder, SmokeOccluderFit};
     pub use crate::playback::{PlaybackMode, SmokeFinished, SmokeLooped, SmokePlayback, SmokeReady};
+    pub use crate::quality::{SmokeModel, SmokeQuality};
     pub use crate::scattering::{ScatteringEvents, ScatteringSolver, SmokeScattering};
     pub use crate::shadows::{NoSmokeShadow, SmokeShadows};
     pub use crate::volume::{LiveDensity, SmokeDensity, SmokeVolume};
@@ -111,6 +115,8 @@ impl Plugin for SmokePlugin {
             .register_type::<medium::SmokeMedium>()
             .register_type::<lighting::SmokeEnvironment>()
             .register_type::<scattering::SmokeScattering>()
+            .register_type::<quality::SmokeQuality>()
+            .register_type::<constellation::SmokeConstellation>()
             .register_type::<shadows::SmokeShadows>()
             .register_type::<shadows::NoSmokeShadow>()
             .add_plugins((

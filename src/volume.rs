@@ -11,6 +11,7 @@ use crate::density::{DensityGrid, GridShape};
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
 use crate::playback::{Shown, SmokeMoment, SmokePlayback};
+use crate::quality::SmokeQuality;
 use crate::scattering::SmokeScattering;
 
 /// A volume of smoke: baked, or live in a texture.
@@ -34,6 +35,7 @@ use crate::scattering::SmokeScattering;
     SmokeMedium,
     SmokeEnvironment,
     SmokeScattering,
+    SmokeQuality,
     Transform,
     Visibility,
     VisibilityClass

@@ -3,7 +3,9 @@
 //! Exit status 0 is done; 2 is bad usage or bad input, with one clear line on standard error.
 
 pub mod bake;
+pub mod chart;
 pub mod compare;
+pub mod constellation;
 pub mod exr_io;
 pub mod frames;
 pub mod info;
@@ -11,6 +13,8 @@ mod input;
 pub mod join;
 pub mod output;
 pub mod path;
+pub mod quality;
+mod references;
 pub mod render;
 pub mod scene;
 pub mod simulate;
@@ -48,6 +52,9 @@ enum Cli {
     #[command(after_help = study::EXAMPLES)]
     #[command(subcommand)]
     Study(study::Study),
+    /// Chart accuracy against speed: every method with its settings, against path-traced references
+    #[command(after_help = chart::EXAMPLES)]
+    Chart(chart::ChartArgs),
 }
 
 const OVERVIEW: &str = "\
@@ -86,6 +93,7 @@ fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Cli::Compare(args) => compare::run(&args),
         Cli::Simulate(args) => simulate::run(&args),
         Cli::Study(what) => study::run(&what),
+        Cli::Chart(args) => chart::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -167,6 +175,7 @@ mod tests {
             (&["smoke", "study", "spheres", "--spheres", "8,0"], "--spheres"),
             (&["smoke", "study", "flicker", "a.smoke"], "--density"),
             (&["smoke", "study", "shadows"], "BUNDLE"),
+            (&["smoke", "chart", "--methods", "fogg"], "fogg"),
             (&["smoke", "study", "flicker", "a.smoke", "--density", "a.vdb"], "2 values required"),
         ] {
             let line = usage(arguments);

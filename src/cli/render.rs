@@ -13,17 +13,19 @@ use bevy::render::renderer::RenderAdapterInfo;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
+use super::constellation::{ConstellationArgs, ConstellationStats};
 use super::exr_io::{ExrImage, encode_rgba};
 use super::input::{Smoke, is_density};
 use super::output::OutputFile;
 use super::path::{self, PathArgs};
+use super::quality::{QualityArgs, QualityStats};
 use super::scene::{Environment, Scene, SceneLight};
 use super::solve::{PaperStats, SolveArgs, Solver};
 use super::surfaces::{cast_shadows, environment_map, spawn_surfaces};
 use crate::headless::{Headless, HeadlessError};
 use crate::lighting::magnitude;
 use crate::prelude::*;
-use crate::render::{PROBES, SmokeRenderStats};
+use crate::render::SmokeRenderStats;
 use crate::scattering::ScatteringChoice;
 use crate::sh::Sh;
 
@@ -62,15 +64,19 @@ pub struct RenderArgs {
     /// Picture size, in place of the scene's
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     size: Option<[u32; 2]>,
-    /// Rays a pixel. rbf, paper: a square number from 1 to 256, 16 unless given; the picture is drawn that much larger and
-    /// averaged, as a path tracer averages over a pixel's area. path: paths in all, 2 or more, 256 unless given; the
-    /// noise falls with their square root
+    /// Rays a pixel. rbf, paper, constellation: a square number from 1 to 256, 16 unless given; the picture is drawn that
+    /// much larger and averaged, as a path tracer averages over a pixel's area. path: paths in all, 2 or more, 256 unless
+    /// given; the noise falls with their square root
     #[arg(long, value_name = "N")]
     spp: Option<u32>,
     #[command(flatten)]
     pub(super) path: PathArgs,
     #[command(flatten)]
     solve: SolveArgs,
+    #[command(flatten)]
+    quality: QualityArgs,
+    #[command(flatten)]
+    constellation: ConstellationArgs,
     /// Writes what was done and what it cost, as JSON
     #[arg(long)]
     stats: Option<PathBuf>,
@@ -85,7 +91,7 @@ pub(super) enum Method {
     Rbf,
     /// Zhou et al. 2008 as printed, lit by the environment alone: a baseline
     Paper,
-    /// Navarro et al. 2008 (not available yet)
+    /// Navarro et al. 2008: single scattering from a light constellation, a ray to each light from every sample
     Constellation,
     /// The path-traced reference, on the CPU: any light, any number of scattering events, and noise
     Path,
@@ -144,12 +150,17 @@ struct Stats {
     solver: Option<SolverStats>,
     /// What --method paper did; null with another.
     paper: Option<PaperStats>,
+    /// How --method constellation drew; null with another.
+    constellation: Option<ConstellationStats>,
     size: [u32; 2],
     spp: u32,
     cells: [u32; 3],
     /// Null of raw density, whose RBFs only the GPU knows.
     rbfs: Option<usize>,
+    /// That light is computed at.
     probes: Option<usize>,
+    /// What the light and the picture of method rbf were computed with; null with another.
+    quality: Option<QualityStats>,
     frames: u32,
     /// Median milliseconds of a whole frame after the first, by the clock, GPU work included; null where there were none.
     steady_frame_ms: Option<f64>,
@@ -254,9 +265,11 @@ fn draw(job: Job) -> anyhow::Result<()> {
     let (rbfs, cells) = (smoke.rbfs(), smoke.shape().dims.to_array());
     let mut headless = Headless::new(drawn.into(), TextureFormat::Rgba16Float)?;
     let paper = args.solve.paper(method.used);
+    let constellation = args.constellation.component(method.used);
     let scattering =
         SmokeScattering { events: args.scattering.into(), solver: args.solve.solver().into(), ..default() };
     let (volume, unit) = spawn_scene(&mut headless, &scene, smoke, args.solve.lattice(), scattering, kind)?;
+    headless.app.world_mut().entity_mut(volume).insert(args.quality.quality());
     if let Some(paper) = paper {
         headless.app.world_mut().entity_mut(volume).insert(paper);
         if scene.has_surfaces() {
@@ -265,6 +278,10 @@ fn draw(job: Job) -> anyhow::Result<()> {
                 args.scene.display()
             );
         }
+    }
+
+    if let Some(constellation) = constellation {
+        headless.app.world_mut().entity_mut(volume).insert(constellation);
     }
 
     // The first frame is the one in which the smoke appears.
@@ -307,20 +324,34 @@ fn draw(job: Job) -> anyhow::Result<()> {
         });
         let world = headless.app.world();
         let choice = world.resource::<SmokeRenderStats>().scattering(volume);
+        let quality = world.resource::<SmokeRenderStats>().quality(volume);
+        let model = quality.map_or(SmokeModel::FULL, |choice| choice.model);
         let adapter = world.resource::<RenderAdapterInfo>();
         let stats = Stats {
             adapter: adapter.name.clone(),
             backend: adapter.backend.to_string(),
             method,
-            scattering: chosen_scattering(args.scattering, choice),
+            scattering: match constellation {
+                Some(_) => {
+                    let why = "a constellation's light scatters once".into();
+                    Choice { asked: args.scattering, used: Scattering::Single, why }
+                }
+                None => chosen_scattering(args.scattering, choice),
+            },
             solver,
             paper: paper.map(|paper| PaperStats::of(&paper, choice.is_some_and(|choice| choice.multiple))),
             size,
             spp,
             cells,
             rbfs,
-            // The paper looks from the centres alone.
-            probes: rbfs.map(|rbfs| if paper.is_some() { rbfs } else { PROBES as usize * rbfs }),
+            // The paper looks from the centres alone, a constellation from nowhere.
+            probes: match (constellation, paper) {
+                (Some(_), _) => None,
+                (_, Some(_)) => rbfs,
+                _ => rbfs.map(|rbfs| model.probes as usize * rbfs.min(model.rbfs as usize)),
+            },
+            quality: quality.filter(|_| paper.is_none() && constellation.is_none()).map(QualityStats::from),
+            constellation: constellation.map(Into::into),
             frames: args.frames,
             steady_frame_ms: median(frame_ms),
             passes: pass_stats(&counts, world.resource()),
@@ -368,13 +399,11 @@ fn choose_method(args: &RenderArgs) -> anyhow::Result<Choice<Method>> {
             "--method paper: {} is a density file: bake it first (smoke bake {0} -o OUT.smoke)",
             args.input.display()
         ),
-        asked @ (Method::Rbf | Method::Paper | Method::Path) => Choice { asked, used: asked, why: "asked for".into() },
-        other => {
-            let name = other.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default();
-            bail!("--method {name} is not available yet: use rbf, paper or path")
-        }
+        asked => Choice { asked, used: asked, why: "asked for".into() },
     };
     args.solve.check(method.used, is_density(&args.input))?;
+    args.quality.check(method.used)?;
+    args.constellation.check(method.used)?;
     let traced = method.used == Method::Path;
     ensure!(traced || !args.path.is_given(), "--halves and --seed are for --method path");
     ensure!(!traced || args.frames == 1, "--frames: method path draws a scene once");
@@ -466,7 +495,7 @@ pub(super) fn spawn_camera(headless: &mut Headless, scene: &Scene) -> Entity {
 }
 
 /// Turns the environment of a volume about the vertical.
-fn turn_light(world: &mut World, volume: Entity, angle: f64) {
+pub(super) fn turn_light(world: &mut World, volume: Entity, angle: f64) {
     let Some(mut environment) = world.get_mut::<SmokeEnvironment>(volume) else { return };
     match &mut *environment {
         SmokeEnvironment::Coefficients { coefficients, .. } => {

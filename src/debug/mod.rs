@@ -20,7 +20,7 @@ pub enum SmokeDebugView {
     None,
     /// The density D, as decoded, in colours by density.
     Density,
-    /// The sum of the Gaussians, D̃, in colours by density.
+    /// The sum of the Gaussians that light is computed at, D̃, in colours by density.
     Rbfs,
     /// What the residual adds, D − D̃: red where it adds, blue where it takes away; its magnitude absorbs.
     Residual,
@@ -31,7 +31,7 @@ pub enum SmokeDebugView {
     /// phase function's forward peak counts as not having scattered (delta-M).
     Multiple,
     /// The probes where light is looked for, in the place of the smoke: seven an RBF, white at its centre and yellow around
-    /// it, at the distances of smoke without delta-M. Of baked smoke alone.
+    /// it, at the distances of smoke without delta-M. Of baked smoke and the full model.
     Probes,
     /// The picture, and the spheres of all [`SmokeOccluder`](crate::occluder::SmokeOccluder)s, magenta.
     Spheres,
@@ -41,6 +41,11 @@ impl SmokeDebugView {
     /// Whether a field is drawn, in false colours.
     pub(crate) fn is_field(self) -> bool {
         matches!(self, Self::Density | Self::Rbfs | Self::Residual)
+    }
+
+    /// Whether the picture is drawn, and something on top at most.
+    pub(crate) fn is_of_picture(self) -> bool {
+        matches!(self, Self::None | Self::Spheres)
     }
 
     /// Whether it takes passes of its own.

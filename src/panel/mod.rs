@@ -19,7 +19,7 @@
 //!
 //! It edits the components themselves, so that a game sees what the panel does and the panel what the game does: of one
 //! volume [`SmokeMedium`](crate::medium::SmokeMedium), [`SmokeEnvironment`](crate::lighting::SmokeEnvironment),
-//! [`SmokeScattering`](crate::scattering::SmokeScattering) and [`SmokePlayback`](crate::playback::SmokePlayback); of the scene
+//! [`SmokeScattering`](crate::scattering::SmokeScattering), [`SmokeQuality`](crate::quality::SmokeQuality) and [`SmokePlayback`](crate::playback::SmokePlayback); of the scene
 //! its lights, and its cameras' environment maps and [`SmokeShadows`](crate::shadows::SmokeShadows). A component is marked as
 //! changed only when a value is. Beside them are what the passes cost and what was chosen for the volume: GPU times where the
 //! app has Bevy's `RenderDiagnosticsPlugin` and the adapter timestamps.
@@ -32,6 +32,7 @@ mod environment;
 mod lights;
 mod medium;
 mod playback;
+mod quality;
 mod scattering;
 pub mod scene;
 mod shadows;
@@ -96,6 +97,7 @@ struct Shown<'w, 's> {
     environment: environment::Environments<'w, 's>,
     lights: lights::Lights<'w, 's>,
     scattering: scattering::Scattering<'w, 's>,
+    quality: quality::Quality<'w, 's>,
     playback: playback::Playback<'w, 's>,
     shadows: shadows::Shadows<'w, 's>,
     stats: stats::Stats<'w>,
@@ -165,6 +167,7 @@ impl Shown<'_, '_> {
         widgets::section(ui, "Medium", |ui| self.medium.show(ui, volume));
         widgets::section(ui, "Environment", |ui| self.environment.show(ui, panel, volume));
         widgets::section(ui, "Scattering", |ui| self.scattering.show(ui, volume));
+        widgets::section(ui, "Quality", |ui| self.quality.show(ui, volume));
         widgets::section(ui, "Playback", |ui| self.playback.show(ui, volume));
     }
 

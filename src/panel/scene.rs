@@ -1,7 +1,7 @@
 //! Smoke and lights that have been set up, as a file that games load.
 //!
 //! The file is one of Bevy's own, a [`DynamicWorld`] in RON, with the extension `.scn.ron`: every volume with its medium,
-//! environment, scattering, playback and place, and every light of Bevy's with its place. A game with this crate's
+//! environment, scattering, quality, playback and place, and every light of Bevy's with its place. A game with this crate's
 //! [`SmokePlugin`](crate::SmokePlugin), Bevy's feature `bevy_world_serialization` and its `WorldSerializationPlugin` (one of
 //! `DefaultPlugins`) loads it as any asset, without the feature `egui`:
 //!
@@ -25,6 +25,7 @@ use super::SmokePanel;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
 use crate::playback::SmokePlayback;
+use crate::quality::SmokeQuality;
 use crate::scattering::SmokeScattering;
 use crate::volume::{SmokeDensity, SmokeVolume};
 
@@ -84,6 +85,7 @@ pub fn scene_text(world: &World) -> Result<String, SceneError> {
         .allow_component::<SmokeMedium>()
         .allow_component::<SmokeEnvironment>()
         .allow_component::<SmokeScattering>()
+        .allow_component::<SmokeQuality>()
         .allow_component::<SmokePlayback>()
         .allow_component::<NotShadowCaster>()
         .allow_component::<DirectionalLight>()

@@ -7,10 +7,12 @@
 mod bins;
 #[cfg(feature = "bake")]
 pub mod fit;
+mod reduce;
 #[cfg(test)]
 mod tests;
 
 pub use bins::{BIN_CELLS, RbfBins};
+pub use reduce::reduced;
 
 use bytemuck::{Pod, Zeroable};
 use glam::{UVec3, Vec3};

@@ -6,12 +6,13 @@
 //!
 //! Beside the passes: [`single`], single scattering without any of the method's approximations, [`voxel_single`], the same
 //! fast enough for every frame of an animation, [`path`], a path tracer for any number of scattering events and any
-//! light, [`paper`], the method of Zhou et al. 2008 as printed, [`diffusion`], its diffusion equation put right and solved
+//! light, [`paper`], the method of Zhou et al. 2008 as printed, [`constellation`], that of Navarro et al. 2008, [`diffusion`], its diffusion equation put right and solved
 //! on a grid, [`sphere`], which tells the two apart, [`compare`], the error of an image, and [`flicker`], that of an
 //! animation over time.
 
 pub mod coarse;
 pub mod compare;
+pub mod constellation;
 pub mod debug;
 pub mod density;
 pub mod diffusion;

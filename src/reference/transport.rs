@@ -105,12 +105,29 @@ pub fn source_radiance(
     surroundings: &[Sh<f64>],
     medium: &Medium,
 ) -> Vec<[ShRgb; PROBES]> {
-    let factors = henyey_greenstein_factors(medium.g);
+    source_radiance_of_order(incident, gathered, surroundings, medium, BANDS)
+}
+
+/// The same of which only so many bands are kept.
+pub fn source_radiance_of_order(
+    incident: &[[Incident; PROBES]],
+    gathered: &[ShRgb],
+    surroundings: &[Sh<f64>],
+    medium: &Medium,
+    order: usize,
+) -> Vec<[ShRgb; PROBES]> {
+    let factors = kept(henyey_greenstein_factors(medium.g), order);
     let rbf = |((probes, gathered), surroundings): ((&[Incident; PROBES], &ShRgb), &Sh<f64>)| {
         let light = |probe: &Incident| probe.light + scattered_before(probe, gathered, surroundings);
         probes.map(|probe| scatter(&light(&probe), medium.albedo, &factors))
     };
     incident.iter().zip(gathered).zip(surroundings).map(rbf).collect()
+}
+
+/// The factors of the bands that are kept; the others are lost at every event.
+fn kept(mut factors: [f64; BANDS], order: usize) -> [f64; BANDS] {
+    factors[order..].fill(0.0);
+    factors
 }
 
 /// Ω g^l L: light, scattered.
@@ -188,7 +205,19 @@ pub fn surroundings(rbfs: &[Rbf], pairs: &[f64]) -> Vec<Sh<f64>> {
 /// G at every RBF: the light scattered elsewhere, in the steady state J_k = Ω' g'_l (L̄_d,k + L_m,k), G = K̂ J, with
 /// means over the probes (`scattered_before` has L_m).
 pub fn scattered_light(rbfs: &[Rbf], pairs: &[f64], incident: &[[Incident; PROBES]], medium: &Medium) -> Vec<ShRgb> {
+    scattered_light_of_order(rbfs, pairs, incident, medium, BANDS)
+}
+
+/// The same of source radiance of which only so many bands are kept.
+pub fn scattered_light_of_order(
+    rbfs: &[Rbf],
+    pairs: &[f64],
+    incident: &[[Incident; PROBES]],
+    medium: &Medium,
+    order: usize,
+) -> Vec<ShRgb> {
     let DeltaM { albedo, factors, .. } = DeltaM::new(medium);
+    let factors = kept(factors, order);
     let incident: Vec<Incident> = incident.iter().map(mean).collect();
     let lobes = (medium.g != 0.0).then(|| lobes(rbfs));
     let surroundings = surroundings(rbfs, pairs);

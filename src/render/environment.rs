@@ -94,6 +94,7 @@ impl EnvironmentPass {
 }
 
 /// An environment's radiance as a texture.
+#[derive(Clone, Copy)]
 pub(crate) enum RadianceMap<'a> {
     /// A cube map, with a sampler for it.
     Cube(&'a TextureView, &'a Sampler),

@@ -2,6 +2,7 @@
 
 use bevy::asset::AssetId;
 use bevy::camera::visibility::RenderLayers;
+use bevy::diagnostic::DiagnosticsStore;
 use bevy::light::{NotShadowCaster, RectLight};
 use bevy::math::Affine3A;
 use bevy::mesh::skinning::SkinnedMesh;
@@ -14,7 +15,9 @@ use bevy::render::texture::GpuImage;
 
 use super::lamp::Lamp;
 use super::live::Live;
+use super::quality;
 use super::view::Emission;
+use crate::constellation::SmokeConstellation;
 use crate::debug::SmokeDebugView;
 use crate::density::GridShape;
 use crate::lighting::SmokeEnvironment;
@@ -23,6 +26,7 @@ use crate::occluder::SmokeOccluder;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
 use crate::playback::{Moment, SmokeMoment};
+use crate::quality::{Milliseconds, SmokeModel, SmokeQuality};
 use crate::scattering::SmokeScattering;
 use crate::shadows::SmokeShadows;
 use crate::sun::EnvironmentSuns;
@@ -40,6 +44,8 @@ pub(super) struct ExtractedSmoke {
     /// Whether a camera sees the shadows of spheres on meshes, smoke or no smoke.
     pub meshes_shade_meshes: bool,
     pub suns: EnvironmentSuns,
+    /// What the passes have taken of late, where that is measured.
+    pub measured: Option<Milliseconds>,
 }
 
 impl ExtractedSmoke {
@@ -57,6 +63,8 @@ pub(super) struct ExtractedVolume {
     pub environment: SmokeEnvironment,
     pub scattering: SmokeScattering,
     pub debug: SmokeDebugView,
+    pub quality: SmokeQuality,
+    pub constellation: Option<SmokeConstellation>,
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
     pub layers: RenderLayers,
@@ -91,8 +99,17 @@ impl Content {
 }
 
 impl ExtractedVolume {
+    /// Whether it may be drawn at half resolution.
+    pub fn may_draw_half(&self) -> bool {
+        !matches!(self.quality, SmokeQuality::Model(SmokeModel { half_resolution: false, .. }))
+            && self.emission() == Emission::Exact
+    }
+
     /// What the view pass is to make of its 3D texture.
     pub fn emission(&self) -> Emission {
+        if self.constellation.is_some() {
+            return Emission::Constellation;
+        }
         #[cfg(feature = "reference")]
         if self.paper.is_some() {
             return Emission::Printed;
@@ -139,6 +156,7 @@ pub(super) fn extract_smoke(
             &SmokeMedium,
             &SmokeEnvironment,
             &SmokeScattering,
+            &SmokeQuality,
             &GlobalTransform,
             Option<&RenderLayers>,
             &InheritedVisibility,
@@ -146,6 +164,7 @@ pub(super) fn extract_smoke(
             Option<&SmokeDebugView>,
         )>,
     >,
+    constellations: Extract<Query<&SmokeConstellation>>,
     #[cfg(feature = "reference")] papers: Extract<Query<&SmokePaper>>,
     cameras: Extract<
         Query<
@@ -159,14 +178,28 @@ pub(super) fn extract_smoke(
     spots: Extract<LampQuery<SpotLight>>,
     areas: Extract<Query<(), With<RectLight>>>,
     environment_suns: Extract<Res<EnvironmentSuns>>,
+    diagnostics: Extract<Option<Res<DiagnosticsStore>>>,
     (occluders, transforms): (
         Extract<Query<(&SmokeOccluder, &GlobalTransform, Option<&SkinnedMesh>, Option<&InheritedVisibility>)>>,
         Extract<Query<&GlobalTransform>>,
     ),
 ) {
     smoke.volumes.clear();
-    for (entity, volume, moment, medium, environment, scattering, transform, layers, visibility, no_caster, debug) in
-        &volumes
+    smoke.measured = diagnostics.as_ref().and_then(|diagnostics| quality::measured(diagnostics));
+    for (
+        entity,
+        volume,
+        moment,
+        medium,
+        environment,
+        scattering,
+        quality,
+        transform,
+        layers,
+        visibility,
+        no_caster,
+        debug,
+    ) in &volumes
     {
         let debug = debug.copied().unwrap_or_default();
         let content = match (&volume.density, &moment.0) {
@@ -179,6 +212,11 @@ pub(super) fn extract_smoke(
         if clamped != *medium {
             warn_once!("{medium:?} of smoke volume {entity} is out of range: it is drawn as {clamped:?} (said once)");
         }
+        let asked = *quality;
+        let quality = asked.clamped();
+        if quality != asked {
+            warn_once!("{asked:?} of smoke volume {entity} is out of range: it is drawn with {quality:?} (said once)");
+        }
         let extracted = ExtractedVolume {
             content,
             world_from_bundle: transform.affine(),
@@ -186,6 +224,12 @@ pub(super) fn extract_smoke(
             environment: environment.clone(),
             scattering: debug.scattering(*scattering),
             debug,
+            quality,
+            constellation: constellations
+                .get(entity)
+                .ok()
+                .filter(|_| debug.is_of_picture())
+                .map(SmokeConstellation::clamped),
             #[cfg(feature = "reference")]
             paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),

@@ -47,6 +47,7 @@ pub(super) struct GpuSmokeFrame {
 }
 
 /// Two baked frames, and the share of the second.
+#[derive(Clone)]
 struct Blend {
     baked: [Arc<GpuBakedFrame>; 2],
     share: f32,
@@ -89,7 +90,7 @@ impl GpuSmokeFrame {
         let rbf_capacity = rbf_capacity(rbfs.len() as u32);
         let entries = entry_capacity(bins.indices.len() as u64);
         let mut frame = Self::empty(shape, rbf_capacity, bins.offsets.len() as u64, entries, device);
-        frame.write(moment, rbfs, &bins, baked, queue);
+        frame.write_moment(moment, rbfs, &bins, baked, queue);
         frame
     }
 
@@ -127,6 +128,48 @@ impl GpuSmokeFrame {
         }
     }
 
+    /// The same smoke with other RBFs, to light it at: what reads its density reads the same textures.
+    pub fn level(&self, rbfs: &[Rbf], device: &RenderDevice, queue: &RenderQueue) -> Self {
+        let bins = RbfBins::new(rbfs, self.shape);
+        let rbf_capacity = rbf_capacity(rbfs.len() as u32);
+        let entries = entry_capacity(bins.indices.len() as u64);
+        let [uniform, rbf_buffer, bin_offsets, bin_indices] =
+            buffers(rbf_capacity, bins.offsets.len() as u64, entries, device);
+        let mut level = Self {
+            rbf_capacity,
+            version: 0,
+            blend: self.blend.clone(),
+            uniform,
+            rbfs: rbf_buffer,
+            bin_offsets,
+            bin_indices,
+            density: self.density.clone(),
+            coarse: self.coarse.clone(),
+            ..*self
+        };
+        level.write(rbfs, &bins, queue);
+        level
+    }
+
+    /// Follows the moment that a level is of.
+    pub fn rewrite_level(&mut self, moment: &Self, rbfs: &[Rbf], device: &RenderDevice, queue: &RenderQueue) {
+        let bins = RbfBins::new(rbfs, self.shape);
+        self.make_room(rbfs, &bins, device);
+        self.version += 1;
+        (self.blend, self.max_density) = (moment.blend.clone(), moment.max_density);
+        self.write(rbfs, &bins, queue);
+    }
+
+    /// New buffers where RBFs or bins have outgrown them.
+    fn make_room(&mut self, rbfs: &[Rbf], bins: &RbfBins, device: &RenderDevice) {
+        if rbfs.len() as u32 > self.rbf_capacity || 4 * bins.indices.len() as u64 > self.bin_indices.size() {
+            self.rbf_capacity = self.rbf_capacity.max(rbf_capacity(rbfs.len() as u32));
+            let entries = entry_capacity(bins.indices.len() as u64);
+            [self.uniform, self.rbfs, self.bin_offsets, self.bin_indices] =
+                buffers(self.rbf_capacity, bins.offsets.len() as u64, entries, device);
+        }
+    }
+
     /// Shows another moment on the same cells: the density passes must run again.
     pub fn rewrite(
         &mut self,
@@ -137,17 +180,12 @@ impl GpuSmokeFrame {
         queue: &RenderQueue,
     ) {
         let bins = RbfBins::of_moment(rbfs, &moment.stays(), self.shape);
-        if rbfs.len() as u32 > self.rbf_capacity || 4 * bins.indices.len() as u64 > self.bin_indices.size() {
-            self.rbf_capacity = self.rbf_capacity.max(rbf_capacity(rbfs.len() as u32));
-            let entries = entry_capacity(bins.indices.len() as u64);
-            [self.uniform, self.rbfs, self.bin_offsets, self.bin_indices] =
-                buffers(self.rbf_capacity, bins.offsets.len() as u64, entries, device);
-        }
+        self.make_room(rbfs, &bins, device);
         self.version += 1;
-        self.write(moment, rbfs, &bins, baked, queue);
+        self.write_moment(moment, rbfs, &bins, baked, queue);
     }
 
-    fn write(
+    fn write_moment(
         &mut self,
         moment: &Moment,
         rbfs: &[Rbf],
@@ -155,9 +193,13 @@ impl GpuSmokeFrame {
         baked: [Arc<GpuBakedFrame>; 2],
         queue: &RenderQueue,
     ) {
-        self.rbf_count = rbfs.len() as u32;
         self.blend = Some(Blend { baked, share: moment.blend });
         self.max_density = moment.density_scale();
+        self.write(rbfs, bins, queue);
+    }
+
+    fn write(&mut self, rbfs: &[Rbf], bins: &RbfBins, queue: &RenderQueue) {
+        self.rbf_count = rbfs.len() as u32;
         self.write_uniform(self.frame_uniform(bins.dims), queue);
         let entries: Vec<RbfEntry> =
             rbfs.iter().map(|r| RbfEntry { center: r.center.into(), radius: r.radius, weight: r.weight }).collect();

@@ -11,11 +11,11 @@ use bevy::render::render_resource::{
     TextureSampleType, TextureView,
 };
 use bevy::render::renderer::{RenderContext, RenderDevice};
-use bevy::shader::Shader;
+use bevy::shader::{Shader, ShaderDefVal};
 
 use super::frame::{FrameUniform, GpuSmokeFrame};
 use super::lighting::{LightingUniform, MAX_LAMPS};
-use super::pass::ComputePass;
+use super::pass::{ComputePass, Job};
 use super::surroundings::SurroundingsUniform;
 use super::{SmokePasses, SmokeRenderStats, SmokeWork};
 
@@ -23,7 +23,7 @@ use super::{SmokePasses, SmokeRenderStats, SmokeWork};
 pub const LABEL: &str = "smoke_incident_light";
 
 /// Probes around an RBF; as in `lighting.wgsl`.
-pub(crate) const PROBES: u32 = 7;
+pub(super) const PROBES: u32 = 7;
 
 /// Bytes an RBF's probes take: 16 coefficients each.
 pub(super) const PROBE_BYTES: u64 = PROBES as u64 * 16 * 16;
@@ -32,7 +32,32 @@ pub(super) const ESCAPE_BYTES: u64 = PROBES as u64 * 16;
 /// Bytes an RBF's columns to the lamps take.
 pub(super) const COLUMN_BYTES: u64 = PROBES as u64 * MAX_LAMPS as u64 * 4;
 
-pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePass {
+/// Directions in which probes can look: a variant of the pass each.
+const DIRECTIONS: [u32; 3] = [16, 32, 64];
+/// Threads of a workgroup; as in `incident_light.wgsl`.
+const THREADS: u32 = 64;
+
+/// The pass, for each number of directions.
+pub(crate) struct IncidentLightPass([ComputePass; DIRECTIONS.len()]);
+
+impl IncidentLightPass {
+    pub fn new(shader: &Handle<Shader>, cache: &PipelineCache) -> Self {
+        Self(DIRECTIONS.map(|directions| pass(shader, directions, cache)))
+    }
+
+    pub fn passes(&self) -> &[ComputePass] {
+        &self.0
+    }
+
+    /// Of so many directions, rounded up to a number that there is.
+    pub fn of(&self, directions: u32) -> &ComputePass {
+        let index = DIRECTIONS.partition_point(|there| *there < directions);
+        &self.0[index.min(DIRECTIONS.len() - 1)]
+    }
+}
+
+fn pass(shader: &Handle<Shader>, directions: u32, cache: &PipelineCache) -> ComputePass {
+    let defs = vec![ShaderDefVal::UInt("DIRECTIONS".into(), directions)];
     let entries = BindGroupLayoutEntries::sequential(
         ShaderStages::COMPUTE,
         (
@@ -50,7 +75,7 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
             texture_3d(TextureSampleType::Float { filterable: true }),
         ),
     );
-    ComputePass::new(LABEL, &entries, shader, "gather", vec![], cache)
+    ComputePass::new(LABEL, &entries, shader, "gather", defs, cache)
 }
 
 /// What one dispatch reads and writes.
@@ -67,8 +92,9 @@ pub(super) struct Bindings<'a> {
     pub densities: &'a TextureView,
 }
 
-pub(super) fn bind(pass: &ComputePass, b: Bindings, device: &RenderDevice, cache: &PipelineCache) -> BindGroup {
-    pass.bind(
+/// The variants of the pass share their layout.
+pub(super) fn bind(pass: &IncidentLightPass, b: Bindings, device: &RenderDevice, cache: &PipelineCache) -> BindGroup {
+    pass.0[0].bind(
         device,
         cache,
         (
@@ -88,9 +114,15 @@ pub(super) fn bind(pass: &ComputePass, b: Bindings, device: &RenderDevice, cache
     )
 }
 
-/// One workgroup a probe.
-pub(super) fn workgroups(frame: &GpuSmokeFrame) -> UVec3 {
-    UVec3::new(frame.rbf_count, PROBES, 1)
+/// One thread a direction, for so many probes an RBF.
+pub(super) fn workgroups(frame: &GpuSmokeFrame, probes: u32, directions: u32) -> UVec3 {
+    UVec3::new(frame.rbf_count.div_ceil(THREADS / directions), probes, 1)
+}
+
+/// One dispatch.
+pub(super) struct IncidentLightJob {
+    pub directions: u32,
+    pub job: Job,
 }
 
 /// Lights the probes of every volume whose light, medium or density changed.
@@ -101,5 +133,7 @@ pub(super) fn incident_light(
     stats: Res<SmokeRenderStats>,
     mut ctx: RenderContext,
 ) {
-    passes.incident_light.run(&work.incident_light, &cache, &stats.incident_light, &mut ctx);
+    let pass = &passes.incident_light;
+    let jobs: Vec<_> = work.incident_light.iter().map(|job| (pass.of(job.directions), &job.job)).collect();
+    ComputePass::run_all(LABEL, &jobs, &cache, &stats.incident_light, &mut ctx);
 }

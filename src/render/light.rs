@@ -61,6 +61,8 @@ enum Content {
 pub(super) struct Lit<'a> {
     pub key: LightKey,
     pub coefficients: &'a Buffer,
+    /// The image that they are of, if they are of one.
+    pub map: Option<RadianceMap<'a>>,
     /// Counts the changes of the coefficients.
     pub version: u32,
     pub environment_from_world: Mat3,
@@ -204,20 +206,20 @@ impl Environments {
     }
 
     /// Makes sure that the coefficients are on the GPU. None while an image is still on its way, or cannot be used.
-    pub fn light(
-        &mut self,
+    pub fn light<'a>(
+        &'a mut self,
         light: Light,
-        images: &RenderAssets<GpuImage>,
+        images: &'a RenderAssets<GpuImage>,
         suns: &EnvironmentSuns,
         gpu: &Gpu,
         work: &mut SmokeWork,
-    ) -> Option<Lit<'_>> {
+    ) -> Option<Lit<'a>> {
         let sun = match light.content {
             Content::Image { id, .. } => suns.0.get(&id).copied().flatten(),
             Content::Coefficients(_) => None,
         };
         let content = Resolved::new(light.content, images, gpu)?;
-        let source = content.source();
+        let (source, map) = (content.source(), content.map());
         let environment = self.entries.entry(light.key.environment).or_insert_with(|| Environment {
             coefficients: coefficient_buffer(gpu.device),
             source: None,
@@ -245,6 +247,7 @@ impl Environments {
         Some(Lit {
             key: light.key,
             coefficients: &environment.coefficients,
+            map,
             version: environment.version,
             environment_from_world: light.environment_from_world,
             intensity: light.intensity,
@@ -275,6 +278,13 @@ impl<'a> Resolved<'a> {
         match self {
             Self::Coefficients(coefficients) => Source::Coefficients(*coefficients),
             Self::Image(image, _) => Source::Texture(image.texture.id()),
+        }
+    }
+
+    fn map(&self) -> Option<RadianceMap<'a>> {
+        match self {
+            Self::Coefficients(_) => None,
+            Self::Image(_, map) => Some(*map),
         }
     }
 

@@ -3,7 +3,9 @@
 use bevy::prelude::*;
 use bevy::render::render_resource::ShaderType;
 
+use super::incident_light::PROBES;
 use crate::medium::SmokeMedium;
+use crate::quality::SmokeModel;
 
 /// Lamps that light one volume, at most; as in `lighting.wgsl`.
 pub(super) const MAX_LAMPS: usize = 8;
@@ -36,6 +38,8 @@ pub(super) struct LightingUniform {
     pub coefficients: u32,
     pub lamp_count: u32,
     pub softening: f32,
+    pub probes: u32,
+    pub light_coefficients: u32,
     pub lamps: [LampUniform; MAX_LAMPS],
 }
 
@@ -62,7 +66,22 @@ impl LightingUniform {
                 (true, true) => 1,
                 (true, false) => 16,
             },
+            probes: PROBES,
+            light_coefficients: 16,
             ..default()
+        }
+    }
+
+    /// Leaves out the probes and bands of spherical harmonics that a model does without, and the bands that the medium does
+    /// not scatter; `diffusion`, as a solver, needs two.
+    pub fn reduced(self, model: &SmokeModel, diffusion: bool) -> Self {
+        let order = if self.g == 0.0 { 1 } else { model.order };
+        let light_order = if diffusion { order.max(2) } else { order };
+        Self {
+            probes: model.probes,
+            coefficients: self.coefficients.min(order * order),
+            light_coefficients: light_order * light_order,
+            ..self
         }
     }
 }
@@ -88,6 +107,19 @@ mod tests {
             assert!((transport - sigma * (1.0 - albedo * g)).abs() < 1e-5);
             assert!((lighting.scatter[3][c] - albedo * g.powi(3)).abs() < 1e-6);
         }
+    }
+
+    #[test]
+    fn what_is_not_scattered_is_not_kept() {
+        let kept = |g, order, diffusion: bool| {
+            let model = SmokeModel { order, ..SmokeModel::FULL };
+            let lighting = LightingUniform::of_medium(&medium([0.8; 3], g), 2.0, !diffusion).reduced(&model, diffusion);
+            (lighting.coefficients, lighting.light_coefficients)
+        };
+        assert_eq!(kept(0.4, 4, false), (16, 16));
+        assert_eq!(kept(0.4, 2, false), (4, 4));
+        assert_eq!(kept(0.0, 4, false), (1, 1));
+        assert_eq!(kept(0.0, 4, true), (0, 4));
     }
 
     #[test]

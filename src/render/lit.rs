@@ -16,7 +16,7 @@ use bevy::render::view::RetainedViewEntity;
 use super::debug::Step;
 use super::diffusion::{self, DiffusionJob, DiffusionUniform};
 use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, texture_3d};
-use super::incident_light::{COLUMN_BYTES, ESCAPE_BYTES, PROBE_BYTES};
+use super::incident_light::{COLUMN_BYTES, ESCAPE_BYTES, IncidentLightJob, PROBE_BYTES};
 use super::lighting::LightingUniform;
 use super::outgoing::{LookUniform, OUTGOING_BYTES, SHADE_BYTES};
 use super::pair_matrix::ROW_BYTES;
@@ -32,6 +32,7 @@ use crate::debug::SmokeDebugView;
 use crate::density::GridShape;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
+use crate::quality::SmokeModel;
 use crate::scattering::{ScatteringChoice, ScatteringSolver};
 
 /// A volume lit by an environment and lamps.
@@ -43,6 +44,8 @@ pub(super) struct LitVolume {
     pub choice: ScatteringChoice,
     environment: BufferId,
     environment_version: u32,
+    /// What it was lit with.
+    effort: Effort,
     uniform: Cached<LightingUniform>,
     light: LightBuffers,
     incident_light: BindGroup,
@@ -58,6 +61,10 @@ pub(super) struct LitVolume {
     paper: Option<PaperLight>,
     /// Counts the changes.
     version: u32,
+    /// The frame in which it was lit.
+    lit_at: u32,
+    /// Whether something has changed since that it has yet to be lit for.
+    is_pending: bool,
     pub last_used: u32,
     pub sliced: HashMap<Option<RetainedViewEntity>, SlicedVolume>,
 }
@@ -86,6 +93,24 @@ impl AroundBuffers {
     }
 }
 
+/// How much a volume's light is computed with; nothing before it is first lit.
+#[derive(Clone, Copy, Default, PartialEq)]
+struct Effort {
+    directions: u32,
+    sweeps: u32,
+    probes: u32,
+    light_coefficients: u32,
+    coefficients: u32,
+}
+
+impl Effort {
+    fn new(light: &FrameLight) -> Self {
+        let LightingUniform { probes, light_coefficients, coefficients, .. } = light.uniform;
+        let SmokeModel { directions, sweeps, .. } = light.model;
+        Self { directions, sweeps, probes, light_coefficients, coefficients }
+    }
+}
+
 /// The light at the probes, and what the RBFs see of each other.
 struct LightBuffers {
     probes: Buffer,
@@ -98,8 +123,8 @@ struct LightBuffers {
 /// What light that scatters more than once takes.
 struct Transport {
     pair_matrix: BindGroup,
-    /// The extinction that the matrix was made with.
-    matrix_sigma: Option<f32>,
+    /// Extinction, coefficients and the frame's version that the matrix was made with.
+    matrix_of: Option<(f32, u32, u32)>,
     /// The solutions, of which the first is where the next solve starts.
     states: Buffer,
     steps: [Cached<StepUniform>; SWEEPS as usize + 1],
@@ -184,6 +209,7 @@ pub(super) struct FrameLight<'a> {
     /// How it is solved for.
     pub solver: ScatteringSolver,
     pub tolerance: f32,
+    pub model: SmokeModel,
     pub debug: SmokeDebugView,
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
@@ -228,6 +254,7 @@ impl LitVolume {
             environment: light.coefficients.id(),
             // Older than any environment: lit at the first look.
             environment_version: 0,
+            effort: Effort::default(),
             uniform,
             light: buffers,
             around,
@@ -236,6 +263,8 @@ impl LitVolume {
             diffusion: None,
             debug: light.debug,
             version: 0,
+            lit_at: 0,
+            is_pending: false,
             last_used: 0,
             sliced: HashMap::default(),
         }
@@ -277,19 +306,22 @@ impl LitVolume {
         let (sigma, coefficients) = (light.uniform.sigma_mean, light.uniform.coefficients);
         #[cfg(feature = "reference")]
         let environment_from_bundle = light.uniform.environment_from_bundle;
+        let effort = Effort::new(&light);
         let moved = self.frame_version != frame.version;
         self.frame_version = frame.version;
-        let surrounded = self.surroundings_version != light.surroundings.version;
-        self.surroundings_version = light.surroundings.version;
         let mut changed = self.uniform.set(light.uniform, gpu)
             | moved
-            | surrounded
+            | self.is_pending
+            | (self.effort != effort)
+            | (self.surroundings_version != light.surroundings.version)
             | (self.environment_version != light.environment_version);
         #[cfg(feature = "reference")]
         if let (Some(paper), Some(settings)) = (&mut self.paper, light.paper) {
             changed |= paper.set(settings, light.choice.multiple, environment_from_bundle, gpu);
             if changed {
                 self.environment_version = light.environment_version;
+                self.surroundings_version = light.surroundings.version;
+                self.effort = effort;
                 self.version += 1;
                 paper.light(frame, work);
             }
@@ -303,12 +335,7 @@ impl LitVolume {
             for (step, value) in transport.steps.iter_mut().zip(StepUniform::all(light.tolerance)) {
                 changed |= step.set(value, gpu);
             }
-            if moved || transport.matrix_sigma != Some(sigma) {
-                transport.matrix_sigma = Some(sigma);
-                changed = true;
-                let bind_group = transport.pair_matrix.clone();
-                work.pair_matrix.push(Job { bind_group, workgroups: pair_matrix::workgroups(frame) });
-            }
+            changed |= transport.matrix_of != Some((sigma, coefficients, frame.version));
         }
         if light.choice.multiple && light.solver == ScatteringSolver::Diffusion {
             let uniform = DiffusionUniform::new(frame.shape, light.tolerance);
@@ -321,15 +348,35 @@ impl LitVolume {
         } else {
             changed |= self.diffusion.take().is_some();
         }
+        // What has been lit with another effort does not fit: neither has what was never lit.
+        let is_due = self.effort != effort || now.wrapping_sub(self.lit_at) >= light.model.lighting_interval;
+        self.is_pending = changed && !is_due;
+        if self.is_pending {
+            // Density does not wait for light.
+            self.version += u32::from(moved);
+            return;
+        }
         if changed {
             self.environment_version = light.environment_version;
+            self.surroundings_version = light.surroundings.version;
+            self.effort = effort;
+            self.lit_at = now;
             self.version += 1;
-            let workgroups = incident_light::workgroups(frame);
-            work.incident_light.push(Job { bind_group: self.incident_light.clone(), workgroups });
-            if let Some(transport) = &self.transport {
+            let Effort { directions, sweeps, probes, .. } = effort;
+            let workgroups = incident_light::workgroups(frame, probes, directions);
+            let job = Job { bind_group: self.incident_light.clone(), workgroups };
+            work.incident_light.push(IncidentLightJob { directions, job });
+            if let Some(transport) = &mut self.transport {
+                let matrix_of = Some((sigma, coefficients, frame.version));
+                if transport.matrix_of != matrix_of {
+                    transport.matrix_of = matrix_of;
+                    let bind_group = transport.pair_matrix.clone();
+                    work.pair_matrix.push(Job { bind_group, workgroups: pair_matrix::workgroups(frame) });
+                }
+                let cycles = sweeps / SWEEPS;
                 let bind_groups = transport.bind_groups.clone();
                 let (rbf_count, rbf_capacity) = (frame.rbf_count, frame.rbf_capacity);
-                work.scattering.push(ScatteringJob { bind_groups, rbf_count, rbf_capacity, coefficients });
+                work.scattering.push(ScatteringJob { bind_groups, rbf_count, rbf_capacity, coefficients, cycles });
             }
             if let Some(diffusion) = &self.diffusion {
                 let bind_groups = diffusion.bind_groups.clone();
@@ -422,7 +469,7 @@ impl Transport {
         };
         Self {
             pair_matrix: pair_matrix::bind(&gpu.passes.pair_matrix, relate, gpu.device, gpu.cache),
-            matrix_sigma: None,
+            matrix_of: None,
             bind_groups: Arc::new(gpu.passes.scattering.bind(&bindings, gpu.device, gpu.cache)),
             steps,
             states,

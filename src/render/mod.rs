@@ -8,7 +8,7 @@
 //! | `coarse` | density | density of a 64³ grid | moment of smoke |
 //! | `lattice` | coarse density | RBFs, bins | frame, of live smoke |
 //! | `pair_matrix` | RBFs, coarse density | how much each RBF sees of each other | volume, moment of smoke and extinction |
-//! | `incident_light` | coefficients, lamps, RBFs, coarse densities, spheres | SH light and columns to the lamps at 7 probes an RBF | volume, light and what stands in it |
+//! | `incident_light` | coefficients, lamps, RBFs, coarse densities, spheres | SH light and columns to the lamps at the probes of every RBF | volume, light and what stands in it |
 //! | `scattering` | pair matrix, light at the probes | SH light that each RBF sees of the others | the same |
 //! | `diffusion` | light at the probes, coarse density | SH light at the probes, added; in the place of `pair_matrix` and `scattering` | the same |
 //! | `outgoing` | light at the probes, scattered light | quadratic fit of the radiance toward the eye, an RBF | the same, × view if g ≠ 0 |
@@ -18,10 +18,13 @@
 //! | `mesh_shadows` | both, coarse densities, spheres, depth, Bevy's lights and shadow maps | the view's meshes, shaded | view |
 //! | `view` | the 3D texture, the view's depth | the view's colours | view |
 //!
+//! Volumes with [`SmokeConstellation`](crate::constellation::SmokeConstellation) take three passes of their own, in
+//! `constellation`, in the place of those from pair matrix to volume.
+//!
 //! All but the last three are compute passes in Bevy's `RenderGraph` schedule, before the cameras' own, and run only when
 //! something they read has changed: a static scene dispatches none of them. The view pass runs in `Core3d` after the opaque
 //! pass and before the transparent one; where transparent meshes are behind smoke or in it, it is drawn among them
-//! (`slabs.rs`). Each is a GPU span of its own; games can order against [`SmokeSystems`].
+//! (`slabs.rs`). It can march at half resolution (`half_resolution.rs`). Each is a GPU span of its own; games can order against [`SmokeSystems`].
 //!
 //! A moment is a blend of two baked frames. On the GPU there are those moments that volumes show, each in buffers and textures
 //! of its own that are rewritten as time goes on, and the residuals of the baked frames that they blend: memory does not
@@ -36,6 +39,7 @@
 mod baked;
 mod casters;
 mod coarse;
+mod constellation;
 mod debug;
 mod density;
 mod diffusion;
@@ -43,9 +47,11 @@ mod environment;
 mod extract;
 mod footprint;
 mod frame;
+mod half_resolution;
 mod incident_light;
 mod lamp;
 mod lattice;
+mod level;
 mod light;
 mod lighting;
 mod lit;
@@ -59,6 +65,7 @@ mod paper;
 mod pass;
 mod placed;
 mod prepare;
+mod quality;
 mod scattering;
 mod shading;
 mod shadow_mask;
@@ -86,8 +93,7 @@ use bevy::render::{ExtractSchedule, GpuResourceAppExt, Render, RenderApp, Render
 
 use self::diffusion::{DiffusionJob, DiffusionPass};
 use self::environment::{EnvironmentJob, EnvironmentPass};
-#[cfg(feature = "cli")]
-pub(crate) use self::incident_light::PROBES;
+use self::incident_light::{IncidentLightJob, IncidentLightPass};
 use self::pass::{ComputePass, Job};
 pub use self::scattering::SolverReport;
 use self::scattering::{ScatteringJob, ScatteringPass};
@@ -121,7 +127,7 @@ impl Plugin for SmokeRenderPlugin {
             .init_resource::<EnvironmentSuns>()
             .add_systems(PostUpdate, find_suns)
             .register_required_components::<SmokeVolume, SyncToRenderWorld>()
-            .add_plugins(shadow_mask::ShadowMaskPlugin);
+            .add_plugins((shadow_mask::ShadowMaskPlugin, constellation::ConstellationPlugin));
 
         let render_app = app.sub_app_mut(RenderApp);
         render_app
@@ -146,6 +152,9 @@ impl Plugin for SmokeRenderPlugin {
                     debug::prepare_passes.before(prepare::prepare_smoke).in_set(RenderSystems::PrepareBindGroups),
                     prepare::prepare_smoke.in_set(RenderSystems::PrepareBindGroups).in_set(SmokeSystems::Prepare),
                     slabs::prepare_slabs.in_set(RenderSystems::PrepareBindGroups),
+                    half_resolution::prepare_half_resolution
+                        .in_set(RenderSystems::PrepareBindGroups)
+                        .after(prepare::prepare_smoke),
                 )
                     .run_if(resource_exists::<SmokePasses>),
             )
@@ -222,7 +231,7 @@ pub(crate) struct SmokePasses {
     coarse: ComputePass,
     lattice: lattice::LatticePasses,
     pair_matrix: ComputePass,
-    incident_light: ComputePass,
+    incident_light: IncidentLightPass,
     scattering: ScatteringPass,
     diffusion: DiffusionPass,
     outgoing: ComputePass,
@@ -239,7 +248,6 @@ impl SmokePasses {
             &self.live,
             &self.coarse,
             &self.pair_matrix,
-            &self.incident_light,
             &self.outgoing,
             &self.volume,
             &self.shadow_probes,
@@ -251,6 +259,7 @@ impl SmokePasses {
             .chain(self.lattice.all())
             .chain(self.scattering.passes())
             .chain(self.diffusion.passes())
+            .chain(self.incident_light.passes())
             .chain(others);
         #[cfg(feature = "reference")]
         let all = all.chain(self.paper.all());
@@ -284,7 +293,7 @@ fn init_passes(
         coarse: coarse::pass(&shaders.coarse, &cache),
         lattice: lattice::LatticePasses::new(&shaders.lattice, &cache),
         pair_matrix: pair_matrix::pass(&shaders.pair_matrix, &cache),
-        incident_light: incident_light::pass(&shaders.incident_light, &cache),
+        incident_light: IncidentLightPass::new(&shaders.incident_light, &cache),
         scattering: ScatteringPass::new(&shaders, &cache),
         diffusion: DiffusionPass::new(&shaders, &cache),
         outgoing: outgoing::pass(&shaders.outgoing, &cache),
@@ -293,6 +302,7 @@ fn init_passes(
         #[cfg(feature = "reference")]
         paper: paper::PaperPasses::new(&shaders.paper, &cache),
     });
+    commands.insert_resource(constellation::ConstellationPasses::new(&shaders.constellation, &cache));
     commands.insert_resource(view::ViewPass::new(&shaders.view));
     draw_functions.write().add(slabs::DrawSlab);
     if let Some(pass) = mesh_shadows::MeshShadowPass::new(mesh_pipeline.as_deref(), &shaders.mesh_shadows) {
@@ -335,7 +345,7 @@ pub(crate) struct SmokeWork {
     lattice: Vec<(lattice::Step, Job)>,
     copies: Vec<casters::Copy>,
     pair_matrix: Vec<Job>,
-    incident_light: Vec<Job>,
+    incident_light: Vec<IncidentLightJob>,
     scattering: Vec<ScatteringJob>,
     diffusion: Vec<DiffusionJob>,
     outgoing: Vec<Job>,

@@ -3,7 +3,7 @@
 
 use core::ops::Range;
 
-use bevy::math::{Affine3A, Vec3A};
+use bevy::math::{Affine3A, Vec3A, Vec4Swizzles};
 use bevy::prelude::*;
 use bevy::render::renderer::RenderDevice;
 use bevy::render::sync_world::MainEntity;
@@ -18,10 +18,18 @@ use super::lighting::{LampUniform, LightingUniform, MAX_LAMPS};
 use super::paper;
 use super::view::{Glow, SmokeUniform};
 use crate::density::GridShape;
+use crate::quality::SmokeModel;
 use crate::scattering::{ScatteringChoice, ScatteringEvents};
 
 /// Lamps are softened over so many cells, and their glow within is drawn by the view pass.
 const SOFTENING_CELLS: f32 = 2.5;
+
+/// How much of a view's picture a box covers.
+pub(super) struct Coverage {
+    pub pixels: f32,
+    /// Side of a pixel in cells, at the middle of the box.
+    pub cells_a_pixel: f32,
+}
 
 /// A volume's box in the world.
 pub(super) struct Placed {
@@ -170,6 +178,21 @@ impl Placed {
         center - reach..center + reach
     }
 
+    /// How much of a view's picture the box covers; None where it is off the screen.
+    pub fn coverage(&self, view: &ExtractedView) -> Option<Coverage> {
+        let clip_from_bundle = view.clip_from_view * Mat4::from(self.bundle_from_view(view).inverse());
+        let rectangle = screen_rectangle(clip_from_bundle, self.shape.half_extent())?;
+        let size = view.viewport.zw().as_vec2();
+        let covered = 0.5 * (rectangle.zw() - rectangle.xy()) * size;
+        // Half the view's height at the middle of the box is one unit of its projection.
+        let distance = (clip_from_bundle * Vec4::W).w.abs().max(1e-6);
+        let pixel = 2.0 * distance / (view.clip_from_view.y_axis.y.abs().max(1e-6) * size.y.max(1.0));
+        Some(Coverage {
+            pixels: covered.element_product(),
+            cells_a_pixel: pixel / (self.scale * self.shape.cell_size()),
+        })
+    }
+
     /// What the view pass needs, the view's projection given as its meshes are drawn with it; None where the box is off the
     /// screen.
     pub fn smoke_uniform(
@@ -177,7 +200,7 @@ impl Placed {
         view: &ExtractedView,
         clip_from_view: Mat4,
         eye: Vec4,
-        volume: &ExtractedVolume,
+        (volume, model): (&ExtractedVolume, &SmokeModel),
         radiance_scale: f32,
         (glow_count, glows): (u32, [Glow; MAX_LAMPS]),
     ) -> Option<SmokeUniform> {
@@ -190,6 +213,7 @@ impl Placed {
             eye,
             rectangle,
             half_extent,
+            step: model.step * self.shape.cell_size(),
             cell: self.shape.cell_size(),
             sigma: self.sigma(volume),
             radiance_scale,

@@ -24,11 +24,13 @@ use bevy::render::texture::GpuImage;
 use bevy::render::view::{ExtractedView, RenderVisibleEntities};
 
 use super::casters::Casters;
+use super::constellation::{self, ConstellationPasses, ConstellationWork, Constellations};
 use super::debug::{self, DebugPasses};
 use super::extract::{Content, ExtractedSmoke, ExtractedVolume};
 use super::footprint::Footprints;
 use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, texture_3d};
-use super::light::{Environments, Light, LightKey};
+use super::level::Levels;
+use super::light::{Environments, Light, LightKey, Lit};
 use super::lit::{FrameLight, LitVolume};
 use super::live::LiveFrames;
 use super::mesh_shadows::ViewMeshShadows;
@@ -36,10 +38,13 @@ use super::moments::Moments;
 #[cfg(feature = "reference")]
 use super::paper;
 use super::placed::{Placed, warn_of_limits};
+use super::quality::Qualities;
 use super::shading::{ShadedBy, Shading, casting};
+use super::slabs::ViewSlabs;
 use super::surroundings::{Around, Surroundings};
 use super::view::{Emission, Glow, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokeMemory, SmokePasses, SmokeRenderStats, SmokeWork};
+use crate::constellation::ConstellationShading;
 use crate::debug::SmokeDebugView;
 use crate::scattering::ScatteringSolver;
 use crate::volume::SmokeVolume;
@@ -53,6 +58,8 @@ pub(super) struct SmokeCache {
     frame: u32,
     environments: Environments,
     frames: Frames,
+    levels: Levels,
+    qualities: Qualities,
     volumes: HashMap<(MainEntity, LightKey), LitVolume>,
     casters: Casters,
     shading: Shading,
@@ -147,6 +154,7 @@ pub(super) fn prepare_smoke(
     images: Res<RenderAssets<GpuImage>>,
     views: Query<(Entity, &ExtractedView, &ExtractedCamera, &RenderVisibleEntities), With<Camera3d>>,
     projections: Query<(Option<&TemporalJitter>, Option<&MainPassResolutionOverride>), With<Camera3d>>,
+    targets: Query<(&Msaa, Has<MainPassResolutionOverride>, Has<ViewSlabs>), With<Camera3d>>,
     device: Res<RenderDevice>,
     queue: Res<RenderQueue>,
     pipelines: Res<PipelineCache>,
@@ -157,15 +165,31 @@ pub(super) fn prepare_smoke(
         Res<SmokeRenderStats>,
         Option<Res<DebugPasses>>,
     ),
+    (constellation_passes, mut constellations, mut constellation_work): (
+        Res<ConstellationPasses>,
+        ResMut<Constellations>,
+        ResMut<ConstellationWork>,
+    ),
 ) {
     work.clear();
-    let SmokeCache { frame: now, environments, frames, volumes, casters, shading, surroundings, shared } =
-        &mut *smoke_cache;
+    let SmokeCache {
+        frame: now,
+        environments,
+        frames,
+        levels,
+        qualities,
+        volumes,
+        casters,
+        shading,
+        surroundings,
+        shared,
+    } = &mut *smoke_cache;
     *now = now.wrapping_add(1);
     let changed = || changed_images.added.iter().chain(&changed_images.modified);
     environments.begin(*now, changed());
     frames.moments.begin(*now, &smoke);
     frames.live.begin(*now, changed());
+    constellations.begin(*now, &mut constellation_work);
     if !passes.are_ready(&pipelines) {
         // What a pass is given before it is ready is never done.
         for (view, ..) in &views {
@@ -203,12 +227,30 @@ pub(super) fn prepare_smoke(
         casters.add(entity, &placed, placed.sigma(volume), frame, &mut work);
     }
 
+    // The light of a volume is for all views: they have to be known before.
+    qualities.begin();
+    for (view_entity, view, _, visible) in &views {
+        let can_halve = targets
+            .get(view_entity)
+            .is_ok_and(|(msaa, is_overridden, has_slabs)| msaa.samples() == 1 && !is_overridden && !has_slabs);
+        for &entity in volumes_in(visible) {
+            // A constellation is a method of its own.
+            let volume = smoke.volumes.get(&entity).filter(|volume| volume.constellation.is_none());
+            let Some(volume) = volume else { continue };
+            let Some(frame) = frames.show(entity, volume, &images, &gpu, &mut work) else { continue };
+            let Some(placed) = Placed::new(entity, volume, frame.shape) else { continue };
+            let Some(coverage) = placed.coverage(view) else { continue };
+            let multiple = placed.choose_scattering(volume, frame, None, &device).multiple;
+            qualities.see(entity, (volume, &placed, frame), multiple, &coverage, can_halve);
+        }
+    }
+    qualities.choose(|entity| &smoke.volumes[&entity], smoke.measured, &stats);
+
     for (view_entity, view, camera, visible) in &views {
         let mut drawn = Vec::new();
         let (jitter, resolution) = projections.get(view_entity).unwrap_or_default();
         let clip_from_view = jittered(view, jitter, resolution);
-        let visible = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
-        for &(_, volume_entity) in visible {
+        for &volume_entity in volumes_in(visible) {
             let Some(volume) = smoke.volumes.get(&volume_entity) else {
                 continue;
             };
@@ -227,25 +269,40 @@ pub(super) fn prepare_smoke(
             let Some(placed) = Placed::new(volume_entity, volume, frame.shape) else {
                 continue;
             };
+            let model = qualities.model(volume_entity);
+            let frame = match volume.constellation {
+                Some(_) => frame,
+                None => levels.of(volume_entity, frame, &volume.content, model.rbfs, *now, &gpu),
+            };
 
             let key = (volume_entity, lit.key);
             let before = volumes.get(&key).map(|volume| volume.choice.multiple);
-            let choice = placed.choose_scattering(volume, frame, before, &device);
+            let choice = match volume.constellation {
+                Some(_) => constellation::choose_scattering(volume_entity, volume.scattering.events),
+                None => placed.choose_scattering(volume, frame, before, &device),
+            };
             stats.set_scattering(volume_entity, choice);
             let emission = volume.emission();
+            // A constellation has the environment's sun among its lights.
+            let sun = lit.sun.filter(|_| volume.constellation.is_none());
+            let lit = Lit { sun, ..lit };
             // Light that scatters into a forward peak goes on for the solver of transport alone.
             let solver = volume.scattering.solver;
+            let diffusion = choice.multiple && solver == ScatteringSolver::Diffusion;
             let transport = choice.multiple && solver == ScatteringSolver::Transport && emission == Emission::Exact;
-            if choice.multiple && solver == ScatteringSolver::Diffusion && choice.is_below(DIFFUSION_SHARE) {
+            if diffusion && choice.is_below(DIFFUSION_SHARE) {
                 warn_once!(
                     "smoke volume {volume_entity:?} is solved by diffusion but is thin: light hardly scatters twice in it, \
                      and ScatteringSolver::Transport is more accurate (said once)"
                 );
             }
             let (uniform, unit) = placed.lighting(volume, &lit, &smoke, transport);
+            let uniform = uniform.reduced(&model, diffusion);
             #[cfg(feature = "reference")]
             let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
-            warn_of_limits(volume_entity, &uniform, frame.typical_depth().unwrap_or(0.0));
+            if volume.constellation.is_none() {
+                warn_of_limits(volume_entity, &uniform, frame.typical_depth().unwrap_or(0.0));
+            }
             let around = Around::new(
                 volume_entity,
                 &placed.world_from_bundle,
@@ -257,16 +314,49 @@ pub(super) fn prepare_smoke(
             let surroundings = surroundings.entry(key).or_insert_with(|| Surroundings::new(&gpu));
             surroundings.set(around, &gpu);
             let glows = Glow::all(&uniform, placed.shape.half_extent());
+            let densities = casters.densities().unwrap_or(&shared.nothing);
+            let eye = placed.eye(view);
+            let seen = |glows| {
+                placed.smoke_uniform(view, clip_from_view, eye, (volume, &model), unit * camera.exposure, glows)
+            };
+            let (distance, depths) = (placed.distance(view), placed.depths(view));
+            if let Some(settings) = volume.constellation {
+                // Where smoke shines by itself no lamps do.
+                let glows = if settings.shading == ConstellationShading::Alpha { default() } else { glows };
+                let Some(uniform_of_view) = seen(glows).filter(|_| constellation_passes.are_ready(&pipelines)) else {
+                    continue;
+                };
+                let view = constellation::View {
+                    entity: view.retained_view_entity,
+                    smoke: uniform_of_view,
+                    size: resolution.map_or(view.viewport.zw(), |resolution| resolution.0),
+                    moment: frame,
+                    settings,
+                    lighting: uniform,
+                    environment: constellation::Environment {
+                        map: lit.map,
+                        coefficients: lit.coefficients,
+                        version: lit.version,
+                    },
+                    surroundings,
+                    densities,
+                };
+                let bind_group = constellations.see(key, view, &constellation_passes, &gpu, &mut constellation_work);
+                let draws = constellation::draws(&settings);
+                drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution: false, bind_group, draws });
+                continue;
+            }
             let light = FrameLight {
                 coefficients: lit.coefficients,
                 environment_version: lit.version,
                 uniform,
                 surroundings,
-                densities: casters.densities().unwrap_or(&shared.nothing),
+                densities,
                 choice,
                 solver,
                 tolerance: volume.scattering.clamped_tolerance(),
                 debug: volume.debug,
+                model,
                 #[cfg(feature = "reference")]
                 paper: volume.paper,
             };
@@ -282,17 +372,15 @@ pub(super) fn prepare_smoke(
                 .or_insert_with(|| LitVolume::new(frame, &light, &gpu));
             lit_volume.update(frame, light, *now, &gpu, &mut work);
 
-            let eye = placed.eye(view);
             // Isotropic smoke looks the same from everywhere: one texture serves all views.
             let isotropic = volume.medium.g == 0.0;
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
-            let uniform = placed.smoke_uniform(view, clip_from_view, eye, volume, unit * camera.exposure, glows);
-            if let Some(uniform) = uniform.map(|uniform| debug::adapt(uniform, volume.debug)) {
+            if let Some(uniform) = seen(glows).map(|uniform| debug::adapt(uniform, volume.debug)) {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
-                let (distance, depths) = (placed.distance(view), placed.depths(view));
-                drawn.push(ViewSmokeVolume { distance, depths, emission, bind_group });
+                let half_resolution = model.half_resolution && emission == Emission::Exact;
+                drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group, draws: 1 });
             }
         }
         // Far to near; equal distances keep the order of their entities.
@@ -322,15 +410,24 @@ pub(super) fn prepare_smoke(
     frames.moments.retain(in_use, exists);
     frames.live.retain(in_use, exists);
     stats.set_memory(frames.memory());
-    stats.retain_scattering(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
+    levels.retain(in_use);
+    qualities.retain(exists);
+    stats.retain_volumes(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
-    surroundings.retain(|key, _| volumes.contains_key(key));
+    constellations.retain(in_use);
+    surroundings.retain(|key, _| volumes.contains_key(key) || constellations.has(key));
     for volume in volumes.values_mut() {
         volume.sliced.retain(|_, sliced| in_use(sliced.last_used));
         for sliced in volume.sliced.values_mut() {
             sliced.seen.retain(|_, seen| in_use(seen.last_used));
         }
     }
+}
+
+/// The volumes that a view sees.
+fn volumes_in(visible: &RenderVisibleEntities) -> impl Iterator<Item = &MainEntity> {
+    let class = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
+    class.iter().map(|(_, volume)| volume)
 }
 
 /// The projection that a view's meshes are drawn with: moved by a part of a pixel under temporal anti-aliasing.

@@ -28,8 +28,6 @@ pub const LABEL: &str = "smoke_scattering";
 
 /// Sweeps between extrapolations; as in `extrapolate.wgsl`.
 pub(super) const SWEEPS: u32 = 5;
-/// Extrapolations at most.
-pub(super) const CYCLES: u32 = 6;
 /// Bytes of the solver's [`Control`](ControlState).
 pub(super) const CONTROL_BYTES: u64 = 16;
 /// Bytes an RBF takes in the list of sources: 16 coefficients, and how much of what it sees is smoke.
@@ -176,12 +174,12 @@ impl ScatteringPass {
 
     /// One solve, in order.
     pub fn jobs(&self, solve: &ScatteringJob) -> Vec<(&ComputePass, Job)> {
-        let ScatteringJob { bind_groups: groups, rbf_count, rbf_capacity, coefficients } = solve;
+        let ScatteringJob { bind_groups: groups, rbf_count, rbf_capacity, coefficients, cycles } = solve;
         let job = |bind_group: &BindGroup, x| Job { bind_group: bind_group.clone(), workgroups: UVec3::new(x, 1, 1) };
         let sweep = if *coefficients == 1 { &self.sweep_isotropic } else { &self.sweep };
         let (last, cycle) = groups.sweeps.split_last().expect("there is a last sweep");
         let mut jobs = vec![(&self.start, job(&groups.start, (rbf_capacity * coefficients).div_ceil(64)))];
-        for _ in 0..CYCLES {
+        for _ in 0..*cycles {
             jobs.extend(cycle.iter().map(|group| (sweep, job(group, *rbf_count))));
             jobs.push((&self.extrapolate, job(&groups.extrapolate, 1)));
         }
@@ -220,8 +218,10 @@ pub(super) struct ScatteringJob {
     pub rbf_count: u32,
     /// RBFs that the list of solutions has room for.
     pub rbf_capacity: u32,
-    /// 1 for isotropic smoke, 16 otherwise.
+    /// 1 for isotropic smoke, up to 16 otherwise.
     pub coefficients: u32,
+    /// Extrapolations at most.
+    pub cycles: u32,
 }
 
 /// Solves for every volume whose light changed.

@@ -35,8 +35,8 @@ use super::placed::Placed;
 use super::view::{ToneMappingTables, ViewSmoke, ViewSmokePipelines};
 use crate::volume::SmokeVolume;
 
-/// The most slabs that a view's smoke is cut into; where more meshes are in it, several go between two slabs.
-const MAX_SLABS: usize = 8;
+/// As in `view.wgsl`: the most slabs that a view's smoke is cut into; where more meshes are in it, several go between two slabs.
+pub(super) const MAX_SLABS: usize = 8;
 
 /// The `slabs` of `view.wgsl`.
 #[derive(ShaderType)]
@@ -239,7 +239,7 @@ pub(super) fn prepare_slabs(
             usage: BufferUsages::UNIFORM,
         });
         let bind_group =
-            pipelines.bind_view(view_uniforms, &copy.default_view, Some(&buffer), &tables, &device, &cache);
+            pipelines.bind_view(view_uniforms, &copy.default_view, Some(&buffer), None, &tables, &device, &cache);
         view_slabs.resources = Some(SlabResources { depth: copy.texture, bind_group });
     }
 }

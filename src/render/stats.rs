@@ -7,9 +7,10 @@ use bevy::prelude::*;
 use bevy::render::sync_world::MainEntity;
 
 use super::pass::DispatchCounter;
+use crate::quality::QualityChoice;
 use crate::scattering::ScatteringChoice;
 
-const PASS_COUNT: usize = 15 + cfg!(feature = "reference") as usize;
+const PASS_COUNT: usize = 18 + cfg!(feature = "reference") as usize;
 
 /// How many dispatches (and draws) each pass has made since the app started, in both worlds: the renderer counts, the
 /// main world reads. The scattering and the diffusion pass count their solves, each of which is many dispatches. GPU times
@@ -30,12 +31,16 @@ pub struct SmokeRenderStats {
     pub(crate) volume: DispatchCounter,
     #[cfg(feature = "reference")]
     pub(crate) paper: DispatchCounter,
+    pub(crate) constellation_lights: DispatchCounter,
+    pub(crate) constellation_distance: DispatchCounter,
+    pub(crate) constellation_mask: DispatchCounter,
     pub(crate) shadow_probes: DispatchCounter,
     pub(crate) shadow_mask: DispatchCounter,
     pub(crate) mesh_shadows: DispatchCounter,
     pub(crate) view: DispatchCounter,
     memory: Arc<Mutex<SmokeMemory>>,
     scattering_choices: Arc<Mutex<EntityHashMap<ScatteringChoice>>>,
+    quality_choices: Arc<Mutex<EntityHashMap<QualityChoice>>>,
 }
 
 /// The moments of smoke on the GPU, which volumes that show the same one share, and the residuals of the baked frames that
@@ -66,6 +71,9 @@ impl SmokeRenderStats {
         super::volume::LABEL,
         #[cfg(feature = "reference")]
         super::paper::LABEL,
+        super::constellation::LIGHTS_LABEL,
+        super::constellation::DISTANCE_LABEL,
+        super::constellation::MASK_LABEL,
         super::shadow_probes::LABEL,
         super::shadow_mask::LABEL,
         super::mesh_shadows::LABEL,
@@ -94,8 +102,23 @@ impl SmokeRenderStats {
         }
     }
 
+    /// What model a volume is drawn with, what that is predicted to cost and how far off it is, and why; None before it is
+    /// first seen.
+    pub fn quality(&self, volume: Entity) -> Option<QualityChoice> {
+        self.quality_choices.lock().ok()?.get(&volume).copied()
+    }
+
+    pub(super) fn set_quality(&self, volume: MainEntity, choice: QualityChoice) {
+        if let Ok(mut choices) = self.quality_choices.lock() {
+            choices.insert(volume.id(), choice);
+        }
+    }
+
     /// Forgets volumes that are gone.
-    pub(super) fn retain_scattering(&self, exists: impl Fn(Entity) -> bool) {
+    pub(super) fn retain_volumes(&self, exists: impl Fn(Entity) -> bool) {
+        if let Ok(mut choices) = self.quality_choices.lock() {
+            choices.retain(|volume, _| exists(*volume));
+        }
         if let Ok(mut choices) = self.scattering_choices.lock() {
             choices.retain(|volume, _| exists(*volume));
         }
@@ -117,6 +140,9 @@ impl SmokeRenderStats {
             &self.volume,
             #[cfg(feature = "reference")]
             &self.paper,
+            &self.constellation_lights,
+            &self.constellation_distance,
+            &self.constellation_mask,
             &self.shadow_probes,
             &self.shadow_mask,
             &self.mesh_shadows,

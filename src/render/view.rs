@@ -15,7 +15,7 @@ use bevy::render::diagnostic::RecordDiagnostics;
 use bevy::render::render_asset::RenderAssets;
 use bevy::render::render_phase::{TrackedRenderPass, ViewSortedRenderPhases};
 use bevy::render::render_resource::binding_types::{
-    sampler, texture_3d, texture_depth_2d, texture_depth_2d_multisampled, uniform_buffer,
+    sampler, texture_2d, texture_3d, texture_depth_2d, texture_depth_2d_multisampled, uniform_buffer,
 };
 use bevy::render::render_resource::{
     BindGroup, BindGroupEntries, BindGroupEntry, BindGroupLayoutDescriptor, BindGroupLayoutEntries, BindingResource,
@@ -32,10 +32,11 @@ use bevy::render::view::{
 };
 use bevy::shader::{Shader, ShaderDefVal};
 
-use super::SmokeRenderStats;
 use super::extract::ExtractedSmoke;
+use super::half_resolution::{self, ViewHalfResolution};
 use super::lighting::{LampUniform, LightingUniform, MAX_LAMPS};
-use super::slabs::{SlabsUniform, ViewSlabs};
+use super::slabs::{MAX_SLABS, SlabsUniform, ViewSlabs};
+use super::{SmokeRenderStats, constellation};
 
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_view";
@@ -47,6 +48,7 @@ pub(super) struct SmokeUniform {
     pub eye: Vec4,
     pub rectangle: Vec4,
     pub half_extent: Vec3,
+    pub step: f32,
     pub cell: f32,
     pub sigma: f32,
     pub radiance_scale: f32,
@@ -101,7 +103,10 @@ pub(super) struct ViewSmokeVolume {
     /// Where its box begins and ends along the view's axis, as [`Placed::depths`](super::placed::Placed::depths).
     pub depths: Range<f32>,
     pub emission: Emission,
+    pub half_resolution: bool,
     pub bind_group: BindGroup,
+    /// Draws whose light adds up to the volume's, where light can be added up: 1, or more by a constellation.
+    pub draws: u32,
 }
 
 /// What a step of the march emits, and what the 3D texture holds.
@@ -113,12 +118,15 @@ pub enum Emission {
     /// J D σ Δ, as printed by Zhou et al. 2008; J D.
     #[cfg(feature = "reference")]
     Printed,
+    /// J (1 − exp(−σ D Δ)) with J summed over a light constellation at every step; distance to smoke.
+    Constellation,
 }
 
 /// The pass's layouts and shader.
 #[derive(Resource, Clone)]
 pub(crate) struct ViewPass {
     volume_layout: BindGroupLayoutDescriptor,
+    constellation_layout: BindGroupLayoutDescriptor,
     shader: Handle<Shader>,
 }
 
@@ -132,7 +140,16 @@ impl ViewPass {
                 sampler(SamplerBindingType::Filtering),
             ),
         );
-        Self { volume_layout: BindGroupLayoutDescriptor::new("smoke_view_volume", &entries), shader: shader.clone() }
+        Self {
+            volume_layout: BindGroupLayoutDescriptor::new("smoke_view_volume", &entries),
+            constellation_layout: constellation::layout(),
+            shader: shader.clone(),
+        }
+    }
+
+    /// Layout of what is bound for a volume that is drawn by its constellation.
+    pub fn constellation_layout(&self) -> &BindGroupLayoutDescriptor {
+        &self.constellation_layout
     }
 
     /// Binds one volume.
@@ -158,11 +175,24 @@ pub struct ViewPassKey {
     emission: Emission,
     /// Whether it draws slabs in Bevy's transparent pass, which has a depth attachment.
     slabs: bool,
+    resolution: Resolution,
+}
+
+/// What part in drawing at half resolution a pipeline has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Resolution {
+    /// None: it marches every pixel.
+    Full,
+    /// It marches pixels of half the size.
+    Half,
+    /// It blends these, and marches where that will not do.
+    Upsampled,
 }
 
 /// Bindings of the view's group.
 const LUT_BINDING: u32 = 2;
 const SLABS_BINDING: u32 = 4;
+const HALF_BINDING: u32 = 5;
 
 impl ViewPassKey {
     /// Layout of the group that the view binds: its uniform, its depth, a table where the shader tone-maps, and the slabs
@@ -182,6 +212,12 @@ impl ViewPassKey {
         if self.slabs {
             entries.push(uniform_buffer::<SlabsUniform>(false).build(SLABS_BINDING, ShaderStages::VERTEX));
         }
+        if self.resolution == Resolution::Upsampled {
+            let halves = [HALF_BINDING, HALF_BINDING + 1].map(|binding| {
+                texture_2d(TextureSampleType::Float { filterable: false }).build(binding, ShaderStages::FRAGMENT)
+            });
+            entries.extend(halves);
+        }
         BindGroupLayoutDescriptor::new("smoke_view", &entries)
     }
 
@@ -192,11 +228,21 @@ impl ViewPassKey {
         }
         if self.slabs {
             defs.push("SLABS".into());
+        }
+        if self.slabs || self.emission == Emission::Constellation {
             defs.push(ShaderDefVal::UInt("SAMPLES".into(), self.samples));
+        }
+        match self.resolution {
+            Resolution::Full => {}
+            Resolution::Half => defs.push("HALF".into()),
+            Resolution::Upsampled => defs.push("UPSAMPLED".into()),
         }
         #[cfg(feature = "reference")]
         if self.emission == Emission::Printed {
             defs.push("PRINTED_EMISSION".into());
+        }
+        if self.emission == Emission::Constellation {
+            defs.push("CONSTELLATION".into());
         }
         if let Some(tonemapping) = self.tonemapping {
             defs.push("TONEMAP_IN_SHADER".into());
@@ -229,9 +275,20 @@ impl SpecializedRenderPipeline for ViewPass {
     fn specialize(&self, key: ViewPassKey) -> RenderPipelineDescriptor {
         // Premultiplied: what is behind keeps the transmittance, 1 - alpha.
         let over = BlendComponent::OVER;
+        let target = |format, blend| Some(ColorTargetState { format, blend, write_mask: ColorWrites::ALL });
+        let targets = match key.resolution {
+            Resolution::Half => {
+                vec![target(half_resolution::COLOR_FORMAT, None), target(half_resolution::DEPTH_FORMAT, None)]
+            }
+            _ => vec![target(key.target_format, Some(BlendState { color: over, alpha: over }))],
+        };
+        let volume_layout = match key.emission {
+            Emission::Constellation => &self.constellation_layout,
+            _ => &self.volume_layout,
+        };
         RenderPipelineDescriptor {
             label: Some(LABEL.into()),
-            layout: vec![key.view_layout(), self.volume_layout.clone()],
+            layout: vec![key.view_layout(), volume_layout.clone()],
             vertex: VertexState {
                 shader: self.shader.clone(),
                 shader_defs: key.shader_defs(),
@@ -252,11 +309,7 @@ impl SpecializedRenderPipeline for ViewPass {
                 shader: self.shader.clone(),
                 shader_defs: key.shader_defs(),
                 entry_point: Some("fragment".into()),
-                targets: vec![Some(ColorTargetState {
-                    format: key.target_format,
-                    blend: Some(BlendState { color: over, alpha: over }),
-                    write_mask: ColorWrites::ALL,
-                })],
+                targets,
             }),
             ..default()
         }
@@ -269,6 +322,8 @@ pub(super) struct Pipelines {
     /// For the volumes that emit as printed, if there are any.
     #[cfg(feature = "reference")]
     printed: Option<CachedRenderPipelineId>,
+    /// For the volumes that are drawn by a constellation, if there are any; nobody else waits for it.
+    constellation: Option<CachedRenderPipelineId>,
     layout: BindGroupLayoutDescriptor,
     key: ViewPassKey,
 }
@@ -279,6 +334,7 @@ impl Pipelines {
             Emission::Exact => cache.get_render_pipeline(self.exact),
             #[cfg(feature = "reference")]
             Emission::Printed => cache.get_render_pipeline(self.printed?),
+            Emission::Constellation => cache.get_render_pipeline(self.constellation?),
         }
     }
 
@@ -296,6 +352,7 @@ impl Pipelines {
         view_uniforms: BindingResource,
         depth: &TextureView,
         slabs: Option<&Buffer>,
+        halves: Option<[&TextureView; 2]>,
         tables: &ToneMappingTables,
         device: &RenderDevice,
         cache: &PipelineCache,
@@ -311,6 +368,9 @@ impl Pipelines {
         }
         entries
             .extend(slabs.map(|slabs| BindGroupEntry { binding: SLABS_BINDING, resource: slabs.as_entire_binding() }));
+        for (binding, half) in (HALF_BINDING..).zip(halves.into_iter().flatten()) {
+            entries.push(BindGroupEntry { binding, resource: BindingResource::TextureView(half) });
+        }
         device.create_bind_group(LABEL, &cache.get_bind_group_layout(&self.layout), &entries)
     }
 
@@ -328,8 +388,12 @@ impl Pipelines {
             let Some(pipeline) = self.get(volume.emission, cache) else { continue };
             pass.set_render_pipeline(pipeline);
             pass.set_bind_group(1, &volume.bind_group, &[]);
-            pass.draw(0..4, slab * samples..(slab + 1) * samples);
-            draws += 1;
+            // What is tone-mapped cannot be added up.
+            for draw in 0..if self.key.tonemapping.is_some() { 1 } else { volume.draws } {
+                let first = draw * MAX_SLABS as u32 + slab;
+                pass.draw(0..4, first * samples..(first + 1) * samples);
+                draws += 1;
+            }
         }
         draws
     }
@@ -341,6 +405,8 @@ pub(super) struct ViewSmokePipelines {
     pub whole: Pipelines,
     /// Of views that have something to draw in Bevy's transparent pass.
     pub slabs: Option<Pipelines>,
+    /// Of views that may draw at half resolution: those to the picture of half the size, and from there.
+    pub halves: Option<[Pipelines; 2]>,
 }
 
 /// Picks the pipelines of every view that may draw smoke.
@@ -356,11 +422,16 @@ pub(super) fn prepare_view_pipelines(
         With<Camera3d>,
     >,
 ) {
+    let wants_half = smoke.volumes.values().any(|volume| volume.may_draw_half());
     let mut specialize = |key: ViewPassKey| Pipelines {
         exact: pipelines.specialize(&cache, &pass, key),
         #[cfg(feature = "reference")]
         printed: smoke.volumes.values().any(|volume| volume.paper.is_some()).then(|| {
             let key = ViewPassKey { emission: Emission::Printed, ..key };
+            pipelines.specialize(&cache, &pass, key)
+        }),
+        constellation: smoke.volumes.values().any(|volume| volume.constellation.is_some()).then(|| {
+            let key = ViewPassKey { emission: Emission::Constellation, ..key };
             pipelines.specialize(&cache, &pass, key)
         }),
         layout: key.view_layout(),
@@ -377,11 +448,17 @@ pub(super) fn prepare_view_pipelines(
             tonemapping: tonemapping.copied().filter(|_| !camera.hdr),
             emission: Emission::Exact,
             slabs: false,
+            resolution: Resolution::Full,
         };
         let transparent = phases.get(&view.retained_view_entity).is_some_and(|phase| !phase.items.is_empty());
         commands.entity(entity).insert(ViewSmokePipelines {
             whole: specialize(whole),
             slabs: (transparent || has_atmosphere).then(|| specialize(ViewPassKey { slabs: true, ..whole })),
+            halves: (wants_half && whole.samples == 1).then(|| {
+                // The picture of half the size holds radiance.
+                let half = ViewPassKey { resolution: Resolution::Half, tonemapping: None, ..whole };
+                [half, ViewPassKey { resolution: Resolution::Upsampled, ..whole }].map(&mut specialize)
+            }),
         });
     }
 }
@@ -416,6 +493,7 @@ pub(super) fn view(
         &ViewSmoke,
         &ViewSmokePipelines,
         Option<&ViewSlabs>,
+        Option<&ViewHalfResolution>,
     )>,
     view_uniforms: Res<ViewUniforms>,
     cache: Res<PipelineCache>,
@@ -423,7 +501,7 @@ pub(super) fn view(
     stats: Res<SmokeRenderStats>,
     mut ctx: RenderContext,
 ) {
-    let (target, depth, offset, camera, resolution, smoke, pipelines, slabs) = view.into_inner();
+    let (target, depth, offset, camera, resolution, smoke, pipelines, slabs, half) = view.into_inner();
     if let Some(slabs) = slabs {
         slabs.copy_depth(depth, ctx.command_encoder());
         return;
@@ -431,14 +509,43 @@ pub(super) fn view(
     let Some(view_uniforms) = view_uniforms.uniforms.binding() else {
         return;
     };
-    let pipelines = &pipelines.whole;
-    if !pipelines.are_ready(&cache) {
+    let ViewSmokePipelines { whole, halves, .. } = pipelines;
+    if !whole.are_ready(&cache) {
         return;
     }
-    let view_bind_group = pipelines.bind_view(view_uniforms, depth.view(), None, &tables, ctx.render_device(), &cache);
+    let view_bind_group =
+        whole.bind_view(view_uniforms, depth.view(), None, None, &tables, ctx.render_device(), &cache);
+    let viewport = Viewport::from_viewport_and_override(camera.viewport.as_ref(), resolution);
 
     let recorder = ctx.diagnostic_recorder();
     let recorder = recorder.as_deref();
+    if let (Some(half), Some([to_half, from_half])) = (half, halves) {
+        // Volumes are drawn one by one: all share the picture of half the size.
+        let span = recorder.time_span(ctx.command_encoder(), LABEL);
+        for volume in &smoke.0 {
+            let (pipelines, bind_group) = match volume.half_resolution {
+                true => {
+                    stats.view.add(half.draw(volume, to_half, offset.offset, &cache, &mut ctx));
+                    (from_half, &half.upsampled)
+                }
+                false => (whole, &view_bind_group),
+            };
+            let mut pass = begin(target, viewport.as_ref(), &mut ctx);
+            pass.set_bind_group(0, bind_group, &[offset.offset]);
+            stats.view.add(pipelines.draw([volume].into_iter(), 0, &cache, &mut pass));
+        }
+        span.end(ctx.command_encoder());
+        return;
+    }
+    let mut pass = begin(target, viewport.as_ref(), &mut ctx);
+    let span = recorder.pass_span(&mut pass, LABEL);
+    pass.set_bind_group(0, &view_bind_group, &[offset.offset]);
+    stats.view.add(whole.draw(smoke.0.iter(), 0, &cache, &mut pass));
+    span.end(&mut pass);
+}
+
+/// Begins to draw to a view.
+fn begin<'a>(target: &ViewTarget, viewport: Option<&Viewport>, ctx: &'a mut RenderContext) -> TrackedRenderPass<'a> {
     let mut pass = ctx.begin_tracked_render_pass(RenderPassDescriptor {
         label: Some(LABEL),
         color_attachments: &[Some(target.get_color_attachment())],
@@ -447,11 +554,8 @@ pub(super) fn view(
         occlusion_query_set: None,
         multiview_mask: None,
     });
-    let span = recorder.pass_span(&mut pass, LABEL);
-    if let Some(viewport) = Viewport::from_viewport_and_override(camera.viewport.as_ref(), resolution) {
-        pass.set_camera_viewport(&viewport);
+    if let Some(viewport) = viewport {
+        pass.set_camera_viewport(viewport);
     }
-    pass.set_bind_group(0, &view_bind_group, &[offset.offset]);
-    stats.view.add(pipelines.draw(smoke.0.iter(), 0, &cache, &mut pass));
-    span.end(&mut pass);
+    pass
 }

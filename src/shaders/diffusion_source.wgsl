@@ -34,7 +34,7 @@ fn fit(@builtin(global_invocation_id) id: vec3<u32>) {
     let rbf = rbfs[l];
     let r = probe_reach(rbf, lighting.sigma_mean, frame.density_scale);
     var values: array<vec4<f32>, PROBES>;
-    for (var i = 0u; i < PROBES; i++) {
+    for (var i = 0u; i < lighting.probes; i++) {
         let probe = l * PROBES + i;
         var light = probes[probe * SH_COEFFICIENTS + k].rgb;
         let point = probe_position(rbf.center, r, i);
@@ -45,6 +45,9 @@ fn fit(@builtin(global_invocation_id) id: vec3<u32>) {
             light += lamp.irradiance * kept * basis(lamp.direction)[k];
         }
         values[i] = vec4(lighting.scatter[band(k)].rgb * light, 0.0);
+    }
+    for (var i = lighting.probes; i < PROBES; i++) {
+        values[i] = values[0];
     }
     let center = values[0];
     fits[id.x] = Fit(

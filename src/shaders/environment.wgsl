@@ -2,12 +2,12 @@
 //     L_k = sum over texels of L(w) y_k(w) dw,
 // in two steps: `project` sums a share of the texels in every workgroup, `reduce` adds the shares.
 // Variants: EQUIRECT reads a 2D latitude-longitude image, otherwise a cube map is read.
+#import bevy_smoke::radiance::{equirect_direction, equirect_solid_angle, sane}
 #import bevy_smoke::sh::{basis, SH_COEFFICIENTS}
 
 // Workgroups of `project`; as in render/environment.rs.
 const GROUPS: u32 = 64u;
 const THREADS: u32 = 64u;
-const PI: f32 = 3.14159265358979;
 
 @group(0) @binding(0) var<storage, read_write> partial_sums: array<vec4<f32>>;
 @group(0) @binding(1) var<storage, read_write> coefficients: array<vec4<f32>>;
@@ -17,14 +17,6 @@ const PI: f32 = 3.14159265358979;
 @group(0) @binding(2) var radiance_map: texture_cube<f32>;
 @group(0) @binding(3) var radiance_sampler: sampler;
 #endif
-
-// What a clipped sun or a damaged file may hold must not spread to every coefficient.
-const BRIGHTEST: f32 = 1e6;
-
-fn sane(radiance: vec3<f32>) -> vec3<f32> {
-    // A number that is not equal to itself is none.
-    return select(vec3(0.0), clamp(radiance, vec3(0.0), vec3(BRIGHTEST)), radiance == radiance);
-}
 
 struct Texel {
     // Direction in the map's frame, right-handed, y up.
@@ -40,16 +32,11 @@ fn texel_count() -> u32 {
     return size.x * size.y;
 }
 
-// u = phi / 2 pi, v = theta / pi, w = (sin phi sin theta, cos theta, -cos phi sin theta).
 fn texel(index: u32) -> Texel {
     let size = textureDimensions(radiance_map);
     let at = vec2<u32>(index % size.x, index / size.x);
-    let phi = 2.0 * PI * (f32(at.x) + 0.5) / f32(size.x);
-    let theta = PI * (f32(at.y) + 0.5) / f32(size.y);
-    // Exact: cos(theta - d) - cos(theta + d) = 2 sin(theta) sin(d), d half a row.
-    let solid_angle = 2.0 * PI / f32(size.x) * 2.0 * sin(theta) * sin(0.5 * PI / f32(size.y));
-    let direction = vec3(sin(phi) * sin(theta), cos(theta), -cos(phi) * sin(theta));
-    return Texel(direction, sane(textureLoad(radiance_map, at, 0).rgb), solid_angle);
+    let direction = equirect_direction((vec2<f32>(at) + 0.5) / vec2<f32>(size));
+    return Texel(direction, sane(textureLoad(radiance_map, at, 0).rgb), equirect_solid_angle(at.y, size));
 }
 
 #else

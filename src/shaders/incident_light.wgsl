@@ -1,5 +1,5 @@
-// Light that reaches every RBF's probes through the smoke, straight from where it comes from: one workgroup
-// a probe, one thread a direction. Each thread takes the environment's radiance along its direction, attenuated by the
+// Light that reaches every RBF's probes through the smoke, straight from where it comes from: one thread a direction, so
+// that a workgroup of 64 has room for one probe that looks in 64 of them, or for the same probe of 64 / DIRECTIONS RBFs. Each thread takes the environment's radiance along its direction, attenuated by the
 // optical depth through the coarse density grid; the workgroup projects the result to SH:
 //     L_d,k = (4 pi / N) sum_j L(w_j) exp(-tau_j) y_k(w_j).
 // Around the smoke, other smoke adds to the optical depth, and spheres hide a part of the cone about each direction.
@@ -8,10 +8,13 @@
 #import bevy_smoke::casters::{crossing, optical_depth}
 #import bevy_smoke::frame::{Frame, Rbf}
 #import bevy_smoke::sh::{basis, SH_COEFFICIENTS}
-#import bevy_smoke::lighting::{Lighting, arriving_from, probe_position, probe_reach, DIRECTIONS, MAX_LAMPS, PI, PROBES}
+#import bevy_smoke::lighting::{Lighting, arriving_from, probe_position, probe_reach, MAX_LAMPS, PI, PROBES}
 
 #import bevy_smoke::occluders::{Surroundings, hides}
 
+// Directions each probe looks in: 16, 32 or 64.
+const DIRECTIONS: u32 = #{DIRECTIONS}u;
+const THREADS: u32 = 64u;
 const MARCH_STEPS: u32 = 20u;
 // Steps through other smoke.
 const OTHER_STEPS: u32 = 16u;
@@ -23,7 +26,7 @@ const GOLDEN_ANGLE: f32 = 2.39996322972865;
 @group(0) @binding(3) var<storage, read> environment: array<vec4<f32>>;
 @group(0) @binding(4) var coarse: texture_3d<f32>;
 @group(0) @binding(5) var coarse_sampler: sampler;
-// 16 coefficients a probe: light, and grey transmittance in alpha.
+// Room for 16 coefficients a probe: light, and grey transmittance in alpha.
 @group(0) @binding(6) var<storage, read_write> probes: array<vec4<f32>>;
 // The share that gets through, one a probe.
 @group(0) @binding(7) var<storage, read_write> escapes: array<vec4<f32>>;
@@ -89,8 +92,8 @@ fn other_depth(point: vec3<f32>, towards: vec3<f32>, distance: f32) -> f32 {
     return tau;
 }
 
-// From the middle of a direction's cone, 1/64 of all, to that of a quarter of it.
-const QUARTER: f32 = 0.13;
+// From the middle of a direction's cone to that of a quarter of it.
+const QUARTER: f32 = 0.13 * sqrt(64.0 / f32(DIRECTIONS));
 
 // The share of a direction's cone that no sphere hides, in quarters.
 fn unhidden(point: vec3<f32>, towards: vec3<f32>) -> f32 {
@@ -122,24 +125,29 @@ fn is_hidden(point: vec3<f32>, towards: vec3<f32>, distance: f32) -> bool {
 }
 
 // Light in a direction, and grey transmittance in alpha.
-var<workgroup> arriving: array<vec4<f32>, DIRECTIONS>;
-var<workgroup> escaping: array<vec3<f32>, DIRECTIONS>;
-var<workgroup> bases: array<array<f32, 16>, DIRECTIONS>;
+var<workgroup> arriving: array<vec4<f32>, THREADS>;
+var<workgroup> escaping: array<vec3<f32>, THREADS>;
+var<workgroup> bases: array<array<f32, 16>, THREADS>;
 
-@compute @workgroup_size(DIRECTIONS)
+@compute @workgroup_size(THREADS)
 fn gather(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(local_invocation_index) thread: u32,
 ) {
     // Of live smoke, the CPU knows only how many there may be.
-    if group.x >= frame.rbf_count {
+    if group.x * (THREADS / DIRECTIONS) >= frame.rbf_count {
         return;
     }
-    let rbf = rbfs[group.x];
+    // What there is none of looks like the last, and is not written.
+    let l = group.x * (THREADS / DIRECTIONS) + thread / DIRECTIONS;
+    let is_there = l < frame.rbf_count;
+    let rbf = rbfs[min(l, frame.rbf_count - 1u)];
+    let first = thread - thread % DIRECTIONS;
+    let own = thread % DIRECTIONS;
     let reach = probe_reach(rbf, lighting.sigma_mean, frame.density_scale);
     let point = probe_position(rbf.center, reach, group.y);
-    let probe = group.x * PROBES + group.y;
-    let towards = direction(thread);
+    let probe = l * PROBES + group.y;
+    let towards = direction(own);
     let met = column(point, towards, 1e30);
     let kept = exp(-lighting.sigma * met);
     var radiance = environment_radiance(towards) * kept * exp(-other_depth(point, towards, 1e30));
@@ -149,25 +157,29 @@ fn gather(
     arriving[thread] = vec4(radiance, exp(-lighting.sigma_mean * met));
     escaping[thread] = kept;
     bases[thread] = basis(towards);
-    if thread < lighting.lamp_count {
-        let light = arriving_from(lighting.lamps[thread], point, lighting.softening);
+    if own < lighting.lamp_count && is_there {
+        let light = arriving_from(lighting.lamps[own], point, lighting.softening);
         var to_lamp = column(point, light.direction, light.distance);
         if surroundings.caster_count > 0u {
             to_lamp += other_depth(point, light.direction, light.distance) / max(lighting.sigma_mean, 1e-6);
         }
         let hidden = is_hidden(point, light.direction, light.distance);
-        columns[probe * MAX_LAMPS + thread] = select(to_lamp, -max(to_lamp, 1e-20), hidden);
+        columns[probe * MAX_LAMPS + own] = select(to_lamp, -max(to_lamp, 1e-20), hidden);
     }
     workgroupBarrier();
-    if thread < SH_COEFFICIENTS {
+    if !is_there {
+        return;
+    }
+    if own < lighting.light_coefficients {
         var sum = vec4(0.0);
-        for (var j = 0u; j < DIRECTIONS; j++) {
-            sum += arriving[j] * bases[j][thread];
+        for (var j = first; j < first + DIRECTIONS; j++) {
+            sum += arriving[j] * bases[j][own];
         }
-        probes[probe * SH_COEFFICIENTS + thread] = sum * (4.0 * PI / f32(DIRECTIONS));
-    } else if thread == SH_COEFFICIENTS {
+        probes[probe * SH_COEFFICIENTS + own] = sum * (4.0 * PI / f32(DIRECTIONS));
+    }
+    if own == DIRECTIONS - 1u {
         var escape = vec3(0.0);
-        for (var j = 0u; j < DIRECTIONS; j++) {
+        for (var j = first; j < first + DIRECTIONS; j++) {
             escape += escaping[j];
         }
         escapes[probe] = vec4(escape / f32(DIRECTIONS), 0.0);

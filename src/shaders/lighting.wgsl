@@ -39,11 +39,15 @@ struct Lighting {
     inner: array<vec4<f32>, 4>,
     // Grey sigma, for transport between RBFs.
     sigma_mean: f32,
-    // Coefficients kept of radiance that scatters more than once: 1 (isotropic) or 16; 0 where light scatters once.
+    // Coefficients kept of radiance that scatters more than once: 1 (isotropic), 4, 9 or 16; 0 where light scatters once.
     coefficients: u32,
     lamp_count: u32,
     // Added to the squared distance of lamps, for cells to hold their light; the view pass makes up for it.
     softening: f32,
+    // Probes that each RBF looks from: PROBES, or 1, its centre.
+    probes: u32,
+    // Coefficients kept of light at the probes: 1, 4, 9 or 16.
+    light_coefficients: u32,
     lamps: array<Lamp, 8>,
 }
 
@@ -78,9 +82,7 @@ fn weight_at(rbf: Rbf, square: f32) -> f32 {
     return rbf.weight * (exp(-square) + TAIL / ((1.0 + square) * (1.0 + square)));
 }
 
-// Directions each probe looks in; one thread each.
-const DIRECTIONS: u32 = 64u;
-// Probes around an RBF: its centre, and both sides along x, y and z.
+// Probes around an RBF, at most: its centre, and both sides along x, y and z.
 const PROBES: u32 = 7u;
 // How far they are from its centre: a radius, but farther where the RBF is so thick that light ends before, about where
 // the smoke that is left outside has an optical depth of 1, for a grey extinction and the density's scale.

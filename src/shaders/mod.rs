@@ -7,11 +7,14 @@ use bevy::shader::{Shader, load_shader_library};
 /// Registers every shader as an embedded asset.
 pub(crate) fn embed(app: &mut App) {
     load_shader_library!(app, "casters.wgsl");
+    load_shader_library!(app, "constellation.wgsl");
     load_shader_library!(app, "diffusion.wgsl");
     load_shader_library!(app, "footprint.wgsl");
     load_shader_library!(app, "frame.wgsl");
     load_shader_library!(app, "lighting.wgsl");
+    load_shader_library!(app, "march.wgsl");
     load_shader_library!(app, "occluders.wgsl");
+    load_shader_library!(app, "radiance.wgsl");
     load_shader_library!(app, "scattering.wgsl");
     load_shader_library!(app, "sh.wgsl");
     load_shader_library!(app, "sum.wgsl");
@@ -30,6 +33,10 @@ pub(crate) fn embed(app: &mut App) {
     embedded_asset!(app, "diffusion_scatter.wgsl");
     embedded_asset!(app, "outgoing.wgsl");
     embedded_asset!(app, "volume.wgsl");
+    embedded_asset!(app, "constellation_radiance.wgsl");
+    embedded_asset!(app, "constellation_lights.wgsl");
+    embedded_asset!(app, "constellation_distance.wgsl");
+    embedded_asset!(app, "constellation_mask.wgsl");
     embedded_asset!(app, "shadow_probes.wgsl");
     embedded_asset!(app, "shadow_mask.wgsl");
     embedded_asset!(app, "mesh_shadows.wgsl");
@@ -64,6 +71,7 @@ pub(crate) struct Shaders {
     pub diffusion_scatter: Handle<Shader>,
     pub outgoing: Handle<Shader>,
     pub volume: Handle<Shader>,
+    pub constellation: ConstellationShaders,
     pub shadow_probes: Handle<Shader>,
     pub shadow_mask: Handle<Shader>,
     pub mesh_shadows: Handle<Shader>,
@@ -71,6 +79,14 @@ pub(crate) struct Shaders {
     pub debug: Handle<Shader>,
     #[cfg(feature = "reference")]
     pub paper: PaperShaders,
+}
+
+/// Handles of the shaders of the light constellation.
+pub(crate) struct ConstellationShaders {
+    pub radiance: Handle<Shader>,
+    pub lights: Handle<Shader>,
+    pub distance: Handle<Shader>,
+    pub mask: Handle<Shader>,
 }
 
 /// Handles of the shaders of Zhou et al. 2008.
@@ -102,6 +118,12 @@ impl Shaders {
             diffusion_scatter: load_embedded_asset!(assets, "diffusion_scatter.wgsl"),
             outgoing: load_embedded_asset!(assets, "outgoing.wgsl"),
             volume: load_embedded_asset!(assets, "volume.wgsl"),
+            constellation: ConstellationShaders {
+                radiance: load_embedded_asset!(assets, "constellation_radiance.wgsl"),
+                lights: load_embedded_asset!(assets, "constellation_lights.wgsl"),
+                distance: load_embedded_asset!(assets, "constellation_distance.wgsl"),
+                mask: load_embedded_asset!(assets, "constellation_mask.wgsl"),
+            },
             shadow_probes: load_embedded_asset!(assets, "shadow_probes.wgsl"),
             shadow_mask: load_embedded_asset!(assets, "shadow_mask.wgsl"),
             mesh_shadows: load_embedded_asset!(assets, "mesh_shadows.wgsl"),
@@ -145,10 +167,13 @@ mod tests {
             ("sh.wgsl", include_str!("sh.wgsl")),
             ("casters.wgsl", include_str!("casters.wgsl")),
             ("occluders.wgsl", include_str!("occluders.wgsl")),
+            ("march.wgsl", include_str!("march.wgsl")),
+            ("radiance.wgsl", include_str!("radiance.wgsl")),
             ("diffusion.wgsl", include_str!("diffusion.wgsl")),
             ("footprint.wgsl", include_str!("footprint.wgsl")),
             ("frame.wgsl", include_str!("frame.wgsl")),
             ("lighting.wgsl", include_str!("lighting.wgsl")),
+            ("constellation.wgsl", include_str!("constellation.wgsl")),
             ("paper.wgsl", include_str!("paper.wgsl")),
             ("scattering.wgsl", include_str!("scattering.wgsl")),
             ("sum.wgsl", include_str!("sum.wgsl")),
@@ -165,7 +190,13 @@ mod tests {
                 })
                 .unwrap_or_else(|error| panic!("{file_path}: {}", error.emit_to_string(&Composer::default())));
         }
-        let shader_defs: HashMap<_, _> = defs.iter().map(|def| (def.to_string(), ShaderDefValue::Bool(true))).collect();
+        // A number where there is one: "NAME=4".
+        let value = |def: &&str| match def.split_once('=') {
+            Some((name, number)) => (name.to_string(), ShaderDefValue::UInt(number.parse().unwrap())),
+            None => (def.to_string(), ShaderDefValue::Bool(true)),
+        };
+        let mut shader_defs: HashMap<_, _> = defs.iter().map(value).collect();
+        shader_defs.insert("SAMPLES".into(), ShaderDefValue::UInt(4));
         let module = composer
             .make_naga_module(NagaModuleDescriptor {
                 source,
@@ -189,7 +220,9 @@ mod tests {
         validate("density.wgsl", include_str!("density.wgsl"), &[]);
         validate("coarse.wgsl", include_str!("coarse.wgsl"), &[]);
         validate("pair_matrix.wgsl", include_str!("pair_matrix.wgsl"), &[]);
-        validate("incident_light.wgsl", include_str!("incident_light.wgsl"), &[]);
+        for directions in ["DIRECTIONS=16", "DIRECTIONS=32", "DIRECTIONS=64"] {
+            validate("incident_light.wgsl", include_str!("incident_light.wgsl"), &[directions]);
+        }
         validate("scattering_source.wgsl", include_str!("scattering_source.wgsl"), &[]);
         validate("sweep.wgsl", include_str!("sweep.wgsl"), &[]);
         validate("extrapolate.wgsl", include_str!("extrapolate.wgsl"), &[]);
@@ -201,6 +234,14 @@ mod tests {
             validate("outgoing.wgsl", include_str!("outgoing.wgsl"), defs);
             validate("volume.wgsl", include_str!("volume.wgsl"), defs);
         }
+        for defs in [&[][..], &["EQUIRECT"], &["COEFFICIENTS"]] {
+            validate("constellation_radiance.wgsl", include_str!("constellation_radiance.wgsl"), defs);
+        }
+        validate("constellation_lights.wgsl", include_str!("constellation_lights.wgsl"), &[]);
+        for defs in [&[][..], &["FIRST"], &["LAST"]] {
+            validate("constellation_distance.wgsl", include_str!("constellation_distance.wgsl"), defs);
+        }
+        validate("constellation_mask.wgsl", include_str!("constellation_mask.wgsl"), &[]);
         validate("shadow_probes.wgsl", include_str!("shadow_probes.wgsl"), &[]);
         validate("paper_single.wgsl", include_str!("paper_single.wgsl"), &[]);
         validate("paper_system.wgsl", include_str!("paper_system.wgsl"), &[]);
@@ -221,6 +262,11 @@ mod tests {
         for defs in [&[][..], &["MULTISAMPLED"], &["TONEMAP_IN_SHADER"], &["MULTISAMPLED", "TONEMAP_IN_SHADER"]] {
             validate("view.wgsl", source, defs);
             validate("view.wgsl", source, &[defs, &["PRINTED_EMISSION"]].concat());
+            validate("view.wgsl", source, &[defs, &["CONSTELLATION"]].concat());
+            validate("view.wgsl", source, &[defs, &["CONSTELLATION", "SLABS"]].concat());
+        }
+        for defs in [&["HALF"][..], &["UPSAMPLED"], &["UPSAMPLED", "TONEMAP_IN_SHADER"]] {
+            validate("view.wgsl", source, defs);
         }
     }
 }

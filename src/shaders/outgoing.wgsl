@@ -41,11 +41,14 @@ fn scattered(l: u32, probe: u32, k: u32) -> vec3<f32> {
     return trapped * gathered[seen + k].rgb + correction / root * mean;
 }
 
-// The quadratic through the values at the probes of an RBF.
+// The quadratic through the values at the probes of an RBF; the value at its centre where that is all there is.
 fn fit(values: ptr<function, array<vec4<f32>, PROBES>>, r: f32) -> Fit {
     let center = (*values)[0];
     var f: Fit;
     f.center = center;
+    if lighting.probes < PROBES {
+        return f;
+    }
     f.dx = ((*values)[1] - (*values)[2]) / (2.0 * r);
     f.dy = ((*values)[3] - (*values)[4]) / (2.0 * r);
     f.dz = ((*values)[5] - (*values)[6]) / (2.0 * r);
@@ -66,7 +69,7 @@ fn leave(@builtin(global_invocation_id) id: vec3<u32>) {
     var radiance: array<vec4<f32>, PROBES>;
     var low = vec3(3e38);
     var high = vec3(-3e38);
-    for (var i = 0u; i < PROBES; i++) {
+    for (var i = 0u; i < lighting.probes; i++) {
         var v = look.eye.xyz;
         if look.eye.w > 0.0 {
             let ray = probe_position(rbf.center, reach, i) - look.eye.xyz;
@@ -76,7 +79,7 @@ fn leave(@builtin(global_invocation_id) id: vec3<u32>) {
         let y = basis(v);
         let probe = l * PROBES + i;
         var sum = vec3(0.0);
-        for (var k = 0u; k < SH_COEFFICIENTS; k++) {
+        for (var k = 0u; k < lighting.light_coefficients; k++) {
 #ifdef SCATTERED_ONLY
             var light = vec3(0.0);
 #else
@@ -104,7 +107,7 @@ fn leave(@builtin(global_invocation_id) id: vec3<u32>) {
     outgoing[l] = f;
     for (var s = 0u; 4u * s < lighting.lamp_count; s++) {
         var column: array<vec4<f32>, PROBES>;
-        for (var i = 0u; i < PROBES; i++) {
+        for (var i = 0u; i < lighting.probes; i++) {
             let at = (l * PROBES + i) * MAX_LAMPS + 4u * s;
             // What hides a lamp is looked for at every cell, not here.
             column[i] = abs(vec4(columns[at], columns[at + 1u], columns[at + 2u], columns[at + 3u]));

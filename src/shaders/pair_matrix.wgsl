@@ -98,7 +98,7 @@ fn relate(
         let below = u32(at);
         let a = mix(footprints.pairs[below], footprints.pairs[below + 1u], fract(at));
         let y = basis(offset / max(distance, 1e-20));
-        for (var i = 1u; i < SH_COEFFICIENTS; i++) {
+        for (var i = 1u; i < lighting.coefficients; i++) {
             seen[i] += select(4.0 * PI * k * a[band(i)] * y[i], 0.0, distance == 0.0);
         }
     }

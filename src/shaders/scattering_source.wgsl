@@ -32,7 +32,7 @@ const INVERSE_SQRT_PI: f32 = 0.564189583547756;
 fn lamp_light(l: u32, rbf: Rbf, lamp: Lamp, j: u32, k: u32) -> vec3<f32> {
     var light = vec3(0.0);
     var inverse_squares = 0.0;
-    for (var i = 0u; i < PROBES; i++) {
+    for (var i = 0u; i < lighting.probes; i++) {
         let reach = probe_reach(rbf, lighting.sigma_mean, frame.density_scale);
         let point = probe_position(rbf.center, reach, i);
         let seen = arriving_from(lamp, point, lighting.softening);
@@ -49,7 +49,7 @@ fn lamp_light(l: u32, rbf: Rbf, lamp: Lamp, j: u32, k: u32) -> vec3<f32> {
     let below = u32(at);
     let found = mix(footprints.pairs[below], footprints.pairs[below + 1u], fract(at));
     let mean = 4.0 * INVERSE_SQRT_PI * pair_footprint(found, u) / (rbf.radius * rbf.radius);
-    return light * (mean * f32(PROBES) / inverse_squares);
+    return light * (mean * f32(lighting.probes) / inverse_squares);
 }
 
 @compute @workgroup_size(64)
@@ -72,7 +72,7 @@ fn start(@builtin(global_invocation_id) id: vec3<u32>) {
     var escape = vec3(0.0);
     // Transmittance: coefficients 0 and k.
     var passing = vec2(0.0);
-    for (var i = 0u; i < PROBES; i++) {
+    for (var i = 0u; i < lighting.probes; i++) {
         let probe = l * PROBES + i;
         let found = probes[probe * SH_COEFFICIENTS + k];
         light += found.rgb;
@@ -82,7 +82,7 @@ fn start(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var j = 0u; j < lighting.lamp_count; j++) {
         light += lamp_light(l, rbf, lighting.lamps[j], j, k);
     }
-    let mean = 1.0 / f32(PROBES);
+    let mean = 1.0 / f32(lighting.probes);
     passing *= mean;
     let root = sqrt(4.0 * PI);
     let view = rows[l * SH_COEFFICIENTS + k];

@@ -99,7 +99,7 @@ var<workgroup> facing: array<vec4<f32>, TILE>;
 var<workgroup> weights: array<vec4<f32>, TILE>;
 var<workgroup> bases: array<array<f32, 16>, TILE>;
 
-// 64 threads: first one an RBF of the tile, then one a coefficient and quarter of the tile.
+// 64 threads: first one an RBF of the tile, then one a coefficient and part of the tile; of 9 coefficients one is left over.
 @compute @workgroup_size(TILE)
 fn sweep(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -111,8 +111,10 @@ fn sweep(
         return;
     }
     let from_slot = slot(plan.from_slot);
-    let k = thread % SH_COEFFICIENTS;
-    let quarter = thread / SH_COEFFICIENTS;
+    let coefficients = lighting.coefficients;
+    let k = thread % coefficients;
+    let part = thread / coefficients;
+    let parts = TILE / coefficients;
     let center = rbfs[l].center;
     var seen = vec4(0.0);
     for (var tile = 0u; tile < count; tile += TILE) {
@@ -127,8 +129,8 @@ fn sweep(
             let a = select(vec4(1.0, bands), vec4(1.0, 0.0, 0.0, 0.0), distance == 0.0);
             let y = basis(offset / max(distance, 1e-20));
             var toward = vec3(0.0);
-            for (var j = 0u; j < SH_COEFFICIENTS; j++) {
-                toward += a[band(j)] * y[j] * states[from_slot + h * SH_COEFFICIENTS + j].rgb;
+            for (var j = 0u; j < coefficients; j++) {
+                toward += a[band(j)] * y[j] * states[from_slot + h * coefficients + j].rgb;
             }
             let share = strength(l, h);
             facing[thread] = vec4(toward * (4.0 * PI * share), share);
@@ -136,19 +138,23 @@ fn sweep(
             bases[thread] = y;
         }
         workgroupBarrier();
-        let end = min(TILE, count - tile);
-        for (var i = quarter; i < end; i += 4u) {
+        let end = select(0u, min(TILE, count - tile), part < parts);
+        for (var i = part; i < end; i += parts) {
             let a = weights[i][band(k)];
-            let spread = states[from_slot + (tile + i) * SH_COEFFICIENTS + k].rgb;
+            let spread = states[from_slot + (tile + i) * coefficients + k].rgb;
             seen += vec4(facing[i].a * (1.0 - a) * spread + a * bases[i][k] * facing[i].rgb, facing[i].a);
         }
         workgroupBarrier();
     }
     partial[thread] = seen;
     workgroupBarrier();
-    if quarter == 0u {
-        let all = partial[k] + partial[k + 16u] + partial[k + 32u] + partial[k + 48u];
-        let mean = partial[0] + partial[16] + partial[32] + partial[48];
+    if part == 0u {
+        var all = partial[k];
+        var mean = partial[0];
+        for (var other = 1u; other < parts; other++) {
+            all += partial[k + other * coefficients];
+            mean += partial[other * coefficients];
+        }
         scatter(l, k, mean.rgb, all.rgb, all.a);
     }
 }

@@ -24,6 +24,9 @@ mod lab;
 #[path = "../../examples/lamps.rs"]
 mod lamps;
 #[allow(dead_code)]
+#[path = "../../examples/live.rs"]
+pub mod live;
+#[allow(dead_code)]
 #[path = "../../examples/minimal.rs"]
 mod minimal;
 #[allow(dead_code)]

@@ -5,15 +5,18 @@
 
 mod cameras;
 mod compositing;
+mod constellation;
 mod debug;
 mod effects;
 mod endurance;
 mod environments;
 mod examples;
 mod lamps;
+mod live;
 #[cfg(feature = "egui")]
 mod panel;
 mod playback;
+mod quality;
 mod scattering;
 mod scene;
 mod shadow_masks;

@@ -192,13 +192,34 @@ fn playback(world: &World, volume: Entity) -> &SmokePlayback {
     world.get(volume).unwrap()
 }
 
-const OTHERS: [Control; 34] = [
+fn quality(world: &World, volume: Entity) -> SmokeQuality {
+    *world.get(volume).unwrap()
+}
+
+const OTHERS: [Control; 51] = [
     ("auto", Key::Space, Changes::World(|w, volume| w.get::<SmokeScattering>(volume).unwrap().events == default())),
     ("single", Key::Space, Picture),
     ("multiple", Key::Space, Nothing),
     ("transport", Key::Space, Nothing),
     ("diffusion", Key::Space, Picture),
     ("tolerance", Key::ArrowRight, Work("smoke_scattering")),
+    ("model", Key::Space, Nothing),
+    ("error", Key::Space, Changes::World(|w, volume| quality(w, volume) == SmokeQuality::Error(0.02))),
+    ("budget", Key::Space, Changes::World(|w, volume| quality(w, volume) == SmokeQuality::Budget(2.0))),
+    ("RBFs at most", Key::ArrowLeft, Changes::World(|w, volume| quality(w, volume) != default())),
+    ("1 probe", Key::Space, Picture),
+    ("7 probes", Key::Space, Nothing),
+    ("order 1", Key::Space, Picture),
+    ("order 2", Key::Space, Picture),
+    ("order 3", Key::Space, Picture),
+    ("order 4", Key::Space, Nothing),
+    ("16 directions", Key::Space, Picture),
+    ("32 directions", Key::Space, Picture),
+    ("64 directions", Key::Space, Nothing),
+    ("sweeps", Key::ArrowLeft, Changes::World(|w, volume| quality(w, volume) != default())),
+    ("step, cells", Key::ArrowRight, Picture),
+    ("half resolution", Key::Space, Picture),
+    ("lighting interval, frames", Key::ArrowRight, Changes::World(|w, volume| quality(w, volume) != default())),
     ("play", Key::Space, Picture),
     ("speed", Key::ArrowRight, Changes::World(|world, volume| playback(world, volume).speed > 1.0)),
     ("loop", Key::Space, Nothing),
@@ -248,6 +269,7 @@ fn check(panel: &mut Panel, controls: &[Control]) {
         *volume.get::<SmokeMedium>().unwrap(),
         volume.get::<SmokeEnvironment>().unwrap().clone(),
         *volume.get::<SmokeScattering>().unwrap(),
+        *volume.get::<SmokeQuality>().unwrap(),
         volume.get::<SmokePlayback>().unwrap().clone(),
     );
     for (name, key, changes) in controls {
@@ -359,6 +381,7 @@ fn a_saved_scene_comes_back() {
             intensity: 2.0,
         },
         SmokeScattering { events: ScatteringEvents::Multiple, tolerance: 0.01, solver: ScatteringSolver::Diffusion },
+        SmokeQuality::Model(SmokeModel { rbfs: 100, order: 2, ..SmokeModel::FULL }),
         SmokePlayback::at_frame(7).with_range(2..=20).with_speed(0.5),
         Transform::from_xyz(0.25, 0.5, 0.0).with_scale(Vec3::splat(2.5)),
     );
@@ -384,13 +407,14 @@ fn a_saved_scene_comes_back() {
         &SmokeMedium,
         &SmokeEnvironment,
         &SmokeScattering,
+        &SmokeQuality,
         &SmokePlayback,
         &Transform,
         Option<&Name>,
     )>();
-    let (volume, medium, environment, scattering, playback, transform, name) = volumes.single(world).unwrap();
+    let (volume, medium, environment, scattering, quality, playback, transform, name) = volumes.single(world).unwrap();
     assert_eq!(volume.animation().unwrap().path().unwrap().to_string(), "billow.smoke");
-    let back = (*medium, environment.clone(), *scattering, playback.clone(), *transform);
+    let back = (*medium, environment.clone(), *scattering, *quality, playback.clone(), *transform);
     let name = name.map(Name::to_string);
     assert_eq!(back, components);
     let mut lights = world.query::<(&PointLight, &Transform)>();

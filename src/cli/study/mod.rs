@@ -1,10 +1,12 @@
 //! `smoke study`: the numerical studies behind the method, run again.
 
 mod flicker;
+mod quality;
 mod shadows;
 mod sphere;
 mod spheres;
 mod stability;
+mod table1;
 
 use clap::Subcommand;
 
@@ -14,7 +16,9 @@ pub(super) const EXAMPLES: &str = "\
   smoke study stability > docs/stability.md
   smoke study spheres --spheres 16,32
   smoke study flicker plume.smoke --density plume_*.vdb
-  smoke study shadows plume.smoke";
+  smoke study shadows plume.smoke
+  smoke study quality --references REFERENCES > quality.json
+  smoke study table1 plume.vdb --size 96x96";
 
 /// What to study.
 #[derive(Subcommand, Debug)]
@@ -33,9 +37,14 @@ pub enum Study {
     /// Shadows between smoke and meshes, as the plug-in draws them: what a floor under the smoke receives of sky and sun,
     /// against exact integrals, and smoke that a ball shades, against path tracing
     Shadows(shadows::ShadowArgs),
+    /// What models of `--quality` cost and how far off they are, and the formulas that choose among them, fitted to that.
+    /// Prints measurements, fit and choices as JSON
+    Quality(quality::QualityStudyArgs),
     /// How close fitted spheres come to the meshes they stand for in smoke's light, and how long fitting takes. Prints
     /// tables: a cube, a wall, a torus, a figure that walks, and ground
     Spheres(spheres::SpheresArgs),
+    /// What validity mask and distance map bring to --method constellation: Table 1 of Navarro et al. 2008, done again
+    Table1(table1::Table1Args),
 }
 
 /// Runs `smoke study`.
@@ -45,6 +54,8 @@ pub fn run(study: &Study) -> anyhow::Result<()> {
         Study::Stability(args) => stability::run(args),
         Study::Flicker(args) => flicker::run(args),
         Study::Shadows(args) => shadows::run(args),
+        Study::Quality(args) => quality::run(args),
         Study::Spheres(args) => spheres::run(args),
+        Study::Table1(args) => table1::run(args),
     }
 }

@@ -6,6 +6,7 @@
 //! adapters whose trilinear weights have 8 bits; passes that touch no f16 are held to 2e-5.
 
 mod coarse;
+mod constellation;
 mod debug;
 mod density;
 mod diffusion;
@@ -49,6 +50,7 @@ use crate::headless::{Headless, read_buffer, read_texture};
 use crate::medium::SmokeMedium;
 use crate::optics::erfcx;
 use crate::playback::Moment;
+use crate::quality::SmokeModel;
 use crate::rbf::{Rbf, RbfModel};
 use crate::reference::incident_light::{Incident, column, probes};
 use crate::reference::lamp::{Cone, Lamp, Lamps};

@@ -1,0 +1,222 @@
+//! `smoke study table1`: Table 1 of Navarro et al. 2008, done again: what mask and distance map bring.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use bevy::diagnostic::{Diagnostic, DiagnosticPath, DiagnosticsStore};
+use bevy::prelude::*;
+use bevy::render::render_resource::TextureFormat;
+use bevy::render::renderer::RenderAdapterInfo;
+use clap::Args;
+use serde::Serialize;
+
+use crate::cli::input::Smoke;
+use crate::cli::output::print;
+use crate::cli::render::{PictureKind, parse_size, spawn_scene};
+use crate::cli::scene::Scene;
+use crate::headless::Headless;
+use crate::prelude::*;
+
+/// Options of `smoke study table1`.
+#[derive(Args, Debug)]
+pub struct Table1Args {
+    /// Density files or bundles
+    #[arg(required = true, value_name = "SMOKE")]
+    inputs: Vec<PathBuf>,
+    /// Medium, light from all around and camera, as for `smoke render` [default: smoke 3 m tall whose box covers about half
+    /// of the picture, isotropic and grey, under a soft light]
+    #[arg(long)]
+    scene: Option<PathBuf>,
+    /// Picture size, in place of the scene's
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    size: Option<[u32; 2]>,
+    /// Lights of the constellation
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=256))]
+    lights: u32,
+    /// Frames that are timed of each, of which the median is told
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
+    frames: u32,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+const DEFAULT_SCENE: &str = r#"{
+    "placement": "width", "width_m": 3, "sigma_t": 4, "albedo": [0.8, 0.8, 0.8], "g": 0,
+    "env": {
+        "kind": "lobes", "ambient": [0.12, 0.15, 0.2],
+        "lobes": [
+            { "dir": [0.6, 0.75, 0.28], "rgb": [3.0, 2.7, 2.2] },
+            { "dir": [-0.8, -0.1, 0.6], "rgb": [0.2, 0.3, 0.5] }
+        ]
+    },
+    "eye": [0, 0, 6], "target": [0, 0, 0], "fov_y_deg": 28, "size": [128, 128]
+}"#;
+
+/// The three ways to march, by name, mask and distance map.
+const WAYS: [(&str, bool, bool); 3] = [("none", false, false), ("mask", true, false), ("mask + distance", true, true)];
+
+const SHADINGS: [(&str, ConstellationShading); 3] = [
+    ("alpha", ConstellationShading::Alpha),
+    ("primary", ConstellationShading::Primary),
+    ("self-shadow", ConstellationShading::SelfShadow),
+];
+
+#[derive(Serialize)]
+struct Report {
+    adapter: String,
+    size: [u32; 2],
+    lights: u32,
+    frames: u32,
+    rows: Vec<Row>,
+}
+
+#[derive(Serialize)]
+struct Row {
+    input: String,
+    shading: &'static str,
+    optimization: &'static str,
+    /// Median milliseconds of a frame by the clock, GPU work included.
+    frame_ms: f64,
+    /// Median milliseconds of mask and view pass on the GPU; null where the adapter has no timestamps.
+    gpu_ms: Option<f64>,
+    /// By the clock, against no optimization.
+    speed_up: f64,
+    /// Largest difference of a channel from the picture without optimization, over that picture's largest value.
+    difference: f64,
+}
+
+/// Runs the study.
+pub fn run(args: &Table1Args) -> anyhow::Result<()> {
+    let (mut scene, warnings) = match &args.scene {
+        Some(path) => Scene::read(path)?,
+        None => Scene::parse(DEFAULT_SCENE, Path::new(""))?,
+    };
+    for warning in warnings {
+        eprintln!("warning: {warning}");
+    }
+    scene.camera.size = args.size.unwrap_or(scene.camera.size);
+    let mut rows = Vec::new();
+    let mut adapter = String::new();
+    for input in &args.inputs {
+        let smoke = Smoke::read(input, 0)?;
+        let mut stage = Stage::new(&scene, smoke)?;
+        adapter = stage.headless.app.world().resource::<RenderAdapterInfo>().name.clone();
+        for (shading_name, shading) in SHADINGS {
+            let mut plain: Option<(f64, Vec<[f32; 4]>)> = None;
+            for (optimization, mask, skip_empty) in WAYS {
+                let settings = SmokeConstellation { lights: args.lights, shading, mask, skip_empty, ..default() };
+                let (frame_ms, gpu_ms, picture) = stage.draw(settings, args.frames)?;
+                let (plain_ms, plain) = plain.get_or_insert_with(|| (frame_ms, picture.clone()));
+                rows.push(Row {
+                    input: input.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+                    shading: shading_name,
+                    optimization,
+                    frame_ms,
+                    gpu_ms,
+                    speed_up: *plain_ms / frame_ms,
+                    difference: difference(&picture, plain),
+                });
+            }
+        }
+    }
+    let report = Report { adapter, size: scene.camera.size, lights: args.lights, frames: args.frames, rows };
+    print(&if args.json { serde_json::to_string_pretty(&report)? + "\n" } else { report.table() })
+}
+
+impl Report {
+    fn table(&self) -> String {
+        let [width, height] = self.size;
+        let mut table = format!(
+            "{}, {width} × {height} pixels, {} lights, median of {} frames\n\n\
+             | smoke | shading | optimization | frame | GPU, mask and view | speed-up | largest difference |\n\
+             |---|---|---|---|---|---|---|\n",
+            self.adapter, self.lights, self.frames
+        );
+        for row in &self.rows {
+            let gpu = row.gpu_ms.map_or("–".into(), |ms| format!("{ms:.1} ms"));
+            table += &format!(
+                "| {} | {} | {} | {:.1} ms | {gpu} | {:.2} | {:.4} % |\n",
+                row.input,
+                row.shading,
+                row.optimization,
+                row.frame_ms,
+                row.speed_up,
+                100.0 * row.difference
+            );
+        }
+        table
+    }
+}
+
+/// A windowless app with one volume.
+struct Stage {
+    headless: Headless,
+    volume: Entity,
+    /// Frames drawn so far.
+    drawn: u32,
+}
+
+impl Stage {
+    fn new(scene: &Scene, smoke: Smoke) -> anyhow::Result<Self> {
+        let mut headless = Headless::new(scene.camera.size.into(), TextureFormat::Rgba16Float)?;
+        let lattice = LiveDensity::new(Handle::default()).lattice;
+        let (volume, _) = spawn_scene(&mut headless, scene, smoke, lattice, SmokeScattering::SINGLE, PictureKind::Exr)?;
+        // So that nothing else is drawn before the first constellation.
+        let alpha = SmokeConstellation { shading: ConstellationShading::Alpha, ..default() };
+        headless.app.world_mut().entity_mut(volume).insert(alpha);
+        headless.settle()?;
+        Ok(Self { headless, volume, drawn: 0 })
+    }
+
+    /// Median milliseconds of a frame by the clock and on the GPU, and the picture.
+    fn draw(&mut self, settings: SmokeConstellation, frames: u32) -> anyhow::Result<(f64, Option<f64>, Vec<[f32; 4]>)> {
+        self.headless.app.world_mut().entity_mut(self.volume).insert(settings);
+        self.update();
+        let times = (0..frames).map(|_| self.update()).collect();
+        // The same place for all pictures. GPU times arrive a few frames late.
+        let late = 2 + self.drawn % 2;
+        (0..late).for_each(|_| {
+            self.update();
+        });
+        let picture = self.headless.float_pixels();
+        let passes = ["smoke_view", "smoke_constellation_mask"];
+        let [view, mask] = passes.map(|pass| self.gpu_times(pass, frames as usize).and_then(median));
+        let gpu_ms = view.map(|view| view + mask.filter(|_| settings.mask).unwrap_or(0.0));
+        Ok((median(times).unwrap_or_default(), gpu_ms, picture))
+    }
+
+    /// Draws a frame, to its end; milliseconds. The camera moves next to nothing, so that masks are made anew.
+    fn update(&mut self) -> f64 {
+        self.drawn += 1;
+        let nudge = if self.drawn.is_multiple_of(2) { 1e-5 } else { -1e-5 };
+        let world = self.headless.app.world_mut();
+        let mut cameras = world.query_filtered::<&mut Transform, With<Camera3d>>();
+        for mut transform in cameras.iter_mut(world) {
+            transform.translation.x += nudge;
+        }
+        let start = Instant::now();
+        self.headless.app.update();
+        self.headless.wait();
+        1e3 * start.elapsed().as_secs_f64()
+    }
+
+    /// The last GPU times of a pass.
+    fn gpu_times(&self, pass: &str, count: usize) -> Option<Vec<f64>> {
+        let path = DiagnosticPath::new(format!("render/{pass}/elapsed_gpu"));
+        let diagnostics = self.headless.app.world().resource::<DiagnosticsStore>();
+        let times: Vec<f64> = diagnostics.get(&path).map(Diagnostic::values)?.copied().collect();
+        Some(times[times.len().saturating_sub(count)..].to_vec())
+    }
+}
+
+fn difference(a: &[[f32; 4]], b: &[[f32; 4]]) -> f64 {
+    let largest = b.iter().flatten().fold(f32::MIN_POSITIVE, |largest, value| largest.max(*value));
+    let off = a.iter().flatten().zip(b.iter().flatten()).fold(0.0f32, |off, (a, b)| off.max((a - b).abs()));
+    f64::from(off / largest)
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
