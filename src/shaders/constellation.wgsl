@@ -55,7 +55,7 @@ const NONE: u32 = 0xffffffffu;
 // Lights that one draw sums, where draws can be added up: long loops are not every driver's strength, and Mesa's CPU driver
 // (lavapipe 22.3) silently ends a shader's loops after 65,535 rounds of all of them together. As in
 // render/constellation/mod.rs.
-const LIGHTS_A_DRAW: u32 = 16u;
+const LIGHTS_A_DRAW: u32 = 4u;
 // Shadow rays end where no more than a millionth gets through.
 const DARK: f32 = 14.0;
 // Steps through other smoke.

@@ -207,7 +207,7 @@ pub(super) fn choose_scattering(volume: MainEntity, events: ScatteringEvents) ->
 }
 
 /// Lights that one draw sums, at most; as in `constellation.wgsl`.
-const LIGHTS_A_DRAW: u32 = 16;
+const LIGHTS_A_DRAW: u32 = 4;
 
 /// Draws by which a volume's light is summed.
 pub(super) fn draws(settings: &SmokeConstellation) -> u32 {
