@@ -4,7 +4,7 @@
 use std::sync::Once;
 use std::time::{Duration, Instant};
 
-use bevy::asset::RenderAssetUsages;
+use bevy::asset::{RenderAssetUsages, UnapprovedPathMode};
 use bevy::camera::{Exposure, Hdr, RenderTarget, ShadowLodOrigin};
 use bevy::core_pipeline::tonemapping::{DebandDither, Tonemapping};
 use bevy::log::LogPlugin;
@@ -102,7 +102,8 @@ impl Headless {
                 .disable::<LogPlugin>()
                 .disable::<WinitPlugin>()
                 .disable::<PipelinedRenderingPlugin>()
-                .set(AssetPlugin { file_path: folder, ..default() })
+                // Tools read what they are told to, wherever it is.
+                .set(AssetPlugin { file_path: folder, unapproved_path_mode: UnapprovedPathMode::Allow, ..default() })
                 .set(WindowPlugin { primary_window: None, exit_condition: ExitCondition::DontExit, ..default() })
                 .set(RenderPlugin {
                     render_creation: WgpuSettings { backends: Some(backends), ..default() }.into(),

@@ -37,7 +37,7 @@
 //!
 //! The default library is what a game needs at run time. `bake` adds density readers (OpenVDB, NumPy), the RBF fit
 //! and the bundle writer; `reference` adds a double-precision CPU twin of every GPU pass; `cli` adds the `smoke`
-//! command.
+//! command; `egui` adds a panel that edits smoke while an app runs.
 
 #![warn(missing_docs)]
 
@@ -48,6 +48,7 @@ pub mod bundle;
 #[doc(hidden)]
 pub mod cli;
 pub mod constellation;
+pub mod debug;
 pub mod density;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
@@ -56,6 +57,8 @@ pub mod lighting;
 pub mod medium;
 pub mod occluder;
 pub mod optics;
+#[cfg(feature = "egui")]
+pub mod panel;
 #[cfg(feature = "reference")]
 pub mod paper;
 pub mod playback;
@@ -84,6 +87,7 @@ pub mod prelude {
     pub use crate::SmokePlugin;
     pub use crate::bundle::SmokeAnimation;
     pub use crate::constellation::{ConstellationShading, SmokeConstellation};
+    pub use crate::debug::SmokeDebugView;
     pub use crate::lighting::SmokeEnvironment;
     pub use crate::medium::SmokeMedium;
     pub use crate::occluder::{OccluderShape, OccluderSphere, SmokeOccluder, SmokeOccluderFit};
@@ -119,6 +123,7 @@ impl Plugin for SmokePlugin {
                 volume::SmokeVolumePlugin,
                 playback::SmokePlaybackPlugin,
                 occluder::SmokeOccluderPlugin,
+                debug::SmokeDebugPlugin,
                 render::SmokeRenderPlugin,
             ));
     }

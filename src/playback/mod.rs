@@ -19,6 +19,8 @@ mod streaming;
 mod tests;
 mod timeline;
 
+use std::ops::RangeInclusive;
+
 use bevy::prelude::*;
 
 use crate::bundle::SmokeAnimation;
@@ -50,6 +52,9 @@ pub(crate) struct SmokePlaybackPlugin;
 impl Plugin for SmokePlaybackPlugin {
     fn build(&self, app: &mut App) {
         app.register_type::<SmokePlayback>()
+            // Scenes with a range of frames can be saved.
+            .register_type_data::<RangeInclusive<u32>, ReflectSerialize>()
+            .register_type_data::<RangeInclusive<u32>, ReflectDeserialize>()
             .register_type::<SmokeStreaming>()
             .register_type::<SmokeStreamingStats>()
             .register_type::<SmokeReady>()

@@ -13,6 +13,7 @@
 pub mod coarse;
 pub mod compare;
 pub mod constellation;
+pub mod debug;
 pub mod density;
 pub mod diffusion;
 pub mod environment;

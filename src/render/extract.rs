@@ -18,6 +18,7 @@ use super::live::Live;
 use super::quality;
 use super::view::Emission;
 use crate::constellation::SmokeConstellation;
+use crate::debug::SmokeDebugView;
 use crate::density::GridShape;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
@@ -25,7 +26,7 @@ use crate::occluder::SmokeOccluder;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
 use crate::playback::{Moment, SmokeMoment};
-use crate::quality::{Milliseconds, SmokeModel, SmokeQuality};
+use crate::quality::{SmokeModel, SmokeQuality};
 use crate::scattering::SmokeScattering;
 use crate::shadows::SmokeShadows;
 use crate::sun::EnvironmentSuns;
@@ -43,8 +44,8 @@ pub(super) struct ExtractedSmoke {
     /// Whether a camera sees the shadows of spheres on meshes, smoke or no smoke.
     pub meshes_shade_meshes: bool,
     pub suns: EnvironmentSuns,
-    /// What the passes have taken of late, where that is measured.
-    pub measured: Option<Milliseconds>,
+    /// Milliseconds that the passes have taken of late, where that is measured.
+    pub measured: Option<f32>,
 }
 
 impl ExtractedSmoke {
@@ -61,6 +62,7 @@ pub(super) struct ExtractedVolume {
     pub medium: SmokeMedium,
     pub environment: SmokeEnvironment,
     pub scattering: SmokeScattering,
+    pub debug: SmokeDebugView,
     pub quality: SmokeQuality,
     pub constellation: Option<SmokeConstellation>,
     #[cfg(feature = "reference")]
@@ -159,6 +161,7 @@ pub(super) fn extract_smoke(
             Option<&RenderLayers>,
             &InheritedVisibility,
             Has<NotShadowCaster>,
+            Option<&SmokeDebugView>,
         )>,
     >,
     constellations: Extract<Query<&SmokeConstellation>>,
@@ -183,9 +186,22 @@ pub(super) fn extract_smoke(
 ) {
     smoke.volumes.clear();
     smoke.measured = diagnostics.as_ref().and_then(|diagnostics| quality::measured(diagnostics));
-    for (entity, volume, moment, medium, environment, scattering, quality, transform, layers, visibility, no_caster) in
-        &volumes
+    for (
+        entity,
+        volume,
+        moment,
+        medium,
+        environment,
+        scattering,
+        quality,
+        transform,
+        layers,
+        visibility,
+        no_caster,
+        debug,
+    ) in &volumes
     {
+        let debug = debug.copied().unwrap_or_default();
         let content = match (&volume.density, &moment.0) {
             (SmokeDensity::Animation(_), Some(moment)) => Content::Baked(moment.clone()),
             // Nothing has come yet.
@@ -206,9 +222,14 @@ pub(super) fn extract_smoke(
             world_from_bundle: transform.affine(),
             medium: clamped,
             environment: environment.clone(),
-            scattering: *scattering,
+            scattering: debug.scattering(*scattering),
+            debug,
             quality,
-            constellation: constellations.get(entity).ok().map(SmokeConstellation::clamped),
+            constellation: constellations
+                .get(entity)
+                .ok()
+                .filter(|_| debug.is_of_picture())
+                .map(SmokeConstellation::clamped),
             #[cfg(feature = "reference")]
             paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),

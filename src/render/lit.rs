@@ -13,6 +13,7 @@ use bevy::render::render_resource::{
 use bevy::render::renderer::RenderDevice;
 use bevy::render::view::RetainedViewEntity;
 
+use super::debug::Step;
 use super::diffusion::{self, DiffusionJob, DiffusionUniform};
 use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, texture_3d};
 use super::incident_light::{COLUMN_BYTES, ESCAPE_BYTES, IncidentLightJob, PROBE_BYTES};
@@ -27,6 +28,7 @@ use super::scattering::{self, CONTROL_BYTES, SOURCE_BYTES, STATE_BYTES, SWEEPS, 
 use super::surroundings::Surroundings;
 use super::view::SmokeUniform;
 use super::{SmokeWork, incident_light, outgoing, pair_matrix, volume};
+use crate::debug::SmokeDebugView;
 use crate::density::GridShape;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
@@ -52,6 +54,8 @@ pub(super) struct LitVolume {
     surroundings_version: u32,
     transport: Option<Transport>,
     diffusion: Option<Diffusion>,
+    /// What is drawn of it.
+    debug: SmokeDebugView,
     /// Lit by this alone, in the place of the others.
     #[cfg(feature = "reference")]
     paper: Option<PaperLight>,
@@ -206,6 +210,7 @@ pub(super) struct FrameLight<'a> {
     pub solver: ScatteringSolver,
     pub tolerance: f32,
     pub model: SmokeModel,
+    pub debug: SmokeDebugView,
     #[cfg(feature = "reference")]
     pub paper: Option<SmokePaper>,
 }
@@ -256,6 +261,7 @@ impl LitVolume {
             surroundings_version: light.surroundings.version,
             transport: None,
             diffusion: None,
+            debug: light.debug,
             version: 0,
             lit_at: 0,
             is_pending: false,
@@ -266,8 +272,10 @@ impl LitVolume {
 
     /// Whether this is of the frame's buffers, and of coefficients that have not been let go since.
     pub fn is_of(&self, frame: &GpuSmokeFrame, light: &FrameLight) -> bool {
-        let same =
-            self.frame == frame.uniform.id() && self.environment == light.coefficients.id() && self.around.is_of(light);
+        let same = self.frame == frame.uniform.id()
+            && self.environment == light.coefficients.id()
+            && self.around.is_of(light)
+            && self.debug == light.debug;
         #[cfg(feature = "reference")]
         let same = same && self.paper.is_some() == light.paper.is_some();
         same
@@ -403,10 +411,17 @@ impl LitVolume {
                 paper.look(frame, work);
                 return sliced;
             }
-            let bind_group = sliced.outgoing.clone();
-            work.outgoing.push(Job { bind_group, workgroups: outgoing::workgroups(frame) });
+            let leave = Job { bind_group: sliced.outgoing.clone(), workgroups: outgoing::workgroups(frame) };
             let bind_group = sliced.volume.clone();
-            work.volume.push(Job { bind_group, workgroups: volume::workgroups(frame.shape) });
+            let reconstruct = Job { bind_group, workgroups: volume::workgroups(frame.shape) };
+            if let Some(step) = Step::of_field(self.debug) {
+                work.debug.push((step, reconstruct));
+            } else if self.debug == SmokeDebugView::Multiple {
+                work.debug.extend([(Step::Outgoing, leave), (Step::Volume, reconstruct)]);
+            } else {
+                work.outgoing.push(leave);
+                work.volume.push(reconstruct);
+            }
         }
         sliced
     }
@@ -529,7 +544,10 @@ impl SlicedVolume {
             #[cfg(feature = "reference")]
             paper: lit.paper.as_ref().map(|light| PaperSlice::new(frame, look.buffer(), light, &texture, gpu)),
             outgoing: outgoing::bind(&gpu.passes.outgoing, leave, gpu.device, gpu.cache),
-            volume: volume::bind(&gpu.passes.volume, reconstruct, gpu.device, gpu.cache),
+            volume: match (Step::of_field(lit.debug), gpu.debug) {
+                (Some(step), Some(passes)) => passes.bind_field(step, frame, &texture, gpu.device, gpu.cache),
+                _ => volume::bind(&gpu.passes.volume, reconstruct, gpu.device, gpu.cache),
+            },
             look,
             // Older than any lit volume.
             lit_version: 0,

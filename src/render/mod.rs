@@ -30,6 +30,9 @@
 //! of its own that are rewritten as time goes on, and the residuals of the baked frames that they blend: memory does not
 //! grow with the length of animations ([`SmokeRenderStats::memory`]). Solvers go on from one moment to the next.
 //!
+//! Where a volume has a [`SmokeDebugView`](crate::debug::SmokeDebugView), debug passes (`debug.rs`) run in the place of `outgoing`
+//! and `volume`.
+//!
 //! Radiance is linear in the light, so everything before the view pass works on the environment's own values; intensity
 //! and the camera's exposure are applied as the view is drawn, and change at no cost.
 
@@ -37,6 +40,7 @@ mod baked;
 mod casters;
 mod coarse;
 mod constellation;
+mod debug;
 mod density;
 mod diffusion;
 mod environment;
@@ -145,6 +149,7 @@ impl Plugin for SmokeRenderPlugin {
                         .chain()
                         .after(sort_phase_system::<Transparent3d>)
                         .in_set(RenderSystems::PhaseSort),
+                    debug::prepare_passes.before(prepare::prepare_smoke).in_set(RenderSystems::PrepareBindGroups),
                     prepare::prepare_smoke.in_set(RenderSystems::PrepareBindGroups).in_set(SmokeSystems::Prepare),
                     slabs::prepare_slabs.in_set(RenderSystems::PrepareBindGroups),
                     half_resolution::prepare_half_resolution
@@ -195,6 +200,15 @@ impl Plugin for SmokeRenderPlugin {
                     .in_set(Core3dSystems::MainPass)
                     .in_set(SmokeSystems::Draw),
             );
+        render_app.add_systems(
+            RenderGraph,
+            debug::debug
+                .after(volume::volume)
+                .in_set(RenderGraphSystems::Render)
+                .in_set(SmokeSystems::Light)
+                .before(camera_driver)
+                .run_if(resource_exists::<debug::DebugPasses>),
+        );
         #[cfg(feature = "reference")]
         render_app.add_systems(
             RenderGraph,
@@ -337,6 +351,7 @@ pub(crate) struct SmokeWork {
     outgoing: Vec<Job>,
     volume: Vec<Job>,
     shadow_probes: Vec<Job>,
+    debug: Vec<(debug::Step, Job)>,
     #[cfg(feature = "reference")]
     paper: Vec<(paper::Step, Job)>,
 }

@@ -9,7 +9,7 @@ use bevy::render::render_resource::{
     BindGroup, BindGroupLayoutEntries, Buffer, PipelineCache, ShaderStages, ShaderType,
 };
 use bevy::render::renderer::{RenderContext, RenderDevice};
-use bevy::shader::Shader;
+use bevy::shader::{Shader, ShaderDefVal};
 
 use super::frame::{FrameUniform, GpuSmokeFrame};
 use super::lighting::LightingUniform;
@@ -34,6 +34,11 @@ pub(super) struct LookUniform {
 }
 
 pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePass {
+    pass_with(shader, vec![], cache)
+}
+
+/// A variant of the pass.
+pub(super) fn pass_with(shader: &Handle<Shader>, defs: Vec<ShaderDefVal>, cache: &PipelineCache) -> ComputePass {
     let entries = BindGroupLayoutEntries::sequential(
         ShaderStages::COMPUTE,
         (
@@ -50,7 +55,7 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
             storage_buffer_sized(false, None),
         ),
     );
-    ComputePass::new(LABEL, &entries, shader, "leave", vec![], cache)
+    ComputePass::new(LABEL, &entries, shader, "leave", defs, cache)
 }
 
 /// What one dispatch reads and writes.

@@ -25,6 +25,7 @@ use bevy::render::view::{ExtractedView, RenderVisibleEntities};
 
 use super::casters::Casters;
 use super::constellation::{self, ConstellationPasses, ConstellationWork, Constellations};
+use super::debug::{self, DebugPasses};
 use super::extract::{Content, ExtractedSmoke, ExtractedVolume};
 use super::footprint::Footprints;
 use super::frame::{FILTERED_FORMAT, GpuSmokeFrame, texture_3d};
@@ -44,6 +45,7 @@ use super::surroundings::{Around, Surroundings};
 use super::view::{Emission, Glow, ViewPass, ViewSmoke, ViewSmokeVolume};
 use super::{SmokeMemory, SmokePasses, SmokeRenderStats, SmokeWork};
 use crate::constellation::ConstellationShading;
+use crate::debug::SmokeDebugView;
 use crate::scattering::ScatteringSolver;
 use crate::volume::SmokeVolume;
 
@@ -133,6 +135,8 @@ pub(super) struct Gpu<'a> {
     pub cache: &'a PipelineCache,
     pub passes: &'a SmokePasses,
     pub view_pass: &'a ViewPass,
+    /// Once they have been asked for, and are there.
+    pub debug: Option<&'a DebugPasses>,
     pub sampler: &'a Sampler,
     pub footprints: &'a Buffer,
     /// In the place of the casters' densities, where there are no casters.
@@ -155,7 +159,12 @@ pub(super) fn prepare_smoke(
     queue: Res<RenderQueue>,
     pipelines: Res<PipelineCache>,
     changed_images: Res<ExtractedAssets<GpuImage>>,
-    (passes, view_pass, stats): (Res<SmokePasses>, Res<ViewPass>, Res<SmokeRenderStats>),
+    (passes, view_pass, stats, debug_passes): (
+        Res<SmokePasses>,
+        Res<ViewPass>,
+        Res<SmokeRenderStats>,
+        Option<Res<DebugPasses>>,
+    ),
     (constellation_passes, mut constellations, mut constellation_work): (
         Res<ConstellationPasses>,
         ResMut<Constellations>,
@@ -201,6 +210,7 @@ pub(super) fn prepare_smoke(
         cache: &pipelines,
         passes: &passes,
         view_pass: &view_pass,
+        debug: debug_passes.as_deref().filter(|passes| passes.are_ready(&pipelines)),
         sampler: &shared.sampler,
         footprints: &shared.footprints,
         nothing: &shared.nothing,
@@ -244,6 +254,9 @@ pub(super) fn prepare_smoke(
             let Some(volume) = smoke.volumes.get(&volume_entity) else {
                 continue;
             };
+            if volume.debug == SmokeDebugView::Probes || volume.debug.has_passes() && gpu.debug.is_none() {
+                continue;
+            }
             let Some(light) = Light::of(volume_entity, volume, view, &smoke) else {
                 continue;
             };
@@ -342,6 +355,7 @@ pub(super) fn prepare_smoke(
                 choice,
                 solver,
                 tolerance: volume.scattering.clamped_tolerance(),
+                debug: volume.debug,
                 model,
                 #[cfg(feature = "reference")]
                 paper: volume.paper,
@@ -363,7 +377,7 @@ pub(super) fn prepare_smoke(
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
-            if let Some(uniform) = seen(glows) {
+            if let Some(uniform) = seen(glows).map(|uniform| debug::adapt(uniform, volume.debug)) {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
                 let half_resolution = model.half_resolution && emission == Emission::Exact;
                 drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group, draws: 1 });

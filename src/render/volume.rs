@@ -10,7 +10,7 @@ use bevy::render::render_resource::{
     TextureView,
 };
 use bevy::render::renderer::{RenderContext, RenderDevice};
-use bevy::shader::Shader;
+use bevy::shader::{Shader, ShaderDefVal};
 
 use super::frame::{FILTERED_FORMAT, FrameUniform, GpuSmokeFrame};
 use super::lighting::LightingUniform;
@@ -24,6 +24,11 @@ use crate::density::GridShape;
 pub const LABEL: &str = "smoke_volume";
 
 pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePass {
+    pass_with(shader, vec![], cache)
+}
+
+/// A variant of the pass.
+pub(super) fn pass_with(shader: &Handle<Shader>, defs: Vec<ShaderDefVal>, cache: &PipelineCache) -> ComputePass {
     let storage = || storage_buffer_read_only_sized(false, None);
     let entries = BindGroupLayoutEntries::sequential(
         ShaderStages::COMPUTE,
@@ -42,7 +47,7 @@ pub(super) fn pass(shader: &Handle<Shader>, cache: &PipelineCache) -> ComputePas
             storage(),
         ),
     );
-    ComputePass::new(LABEL, &entries, shader, "reconstruct", vec![], cache)
+    ComputePass::new(LABEL, &entries, shader, "reconstruct", defs, cache)
 }
 
 /// What one dispatch reads and writes.

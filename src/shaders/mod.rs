@@ -41,6 +41,7 @@ pub(crate) fn embed(app: &mut App) {
     embedded_asset!(app, "shadow_mask.wgsl");
     embedded_asset!(app, "mesh_shadows.wgsl");
     embedded_asset!(app, "view.wgsl");
+    embedded_asset!(app, "debug.wgsl");
     #[cfg(feature = "reference")]
     {
         load_shader_library!(app, "paper.wgsl");
@@ -75,6 +76,7 @@ pub(crate) struct Shaders {
     pub shadow_mask: Handle<Shader>,
     pub mesh_shadows: Handle<Shader>,
     pub view: Handle<Shader>,
+    pub debug: Handle<Shader>,
     #[cfg(feature = "reference")]
     pub paper: PaperShaders,
 }
@@ -126,6 +128,7 @@ impl Shaders {
             shadow_mask: load_embedded_asset!(assets, "shadow_mask.wgsl"),
             mesh_shadows: load_embedded_asset!(assets, "mesh_shadows.wgsl"),
             view: load_embedded_asset!(assets, "view.wgsl"),
+            debug: load_embedded_asset!(assets, "debug.wgsl"),
             #[cfg(feature = "reference")]
             paper: PaperShaders {
                 single: load_embedded_asset!(assets, "paper_single.wgsl"),
@@ -226,8 +229,11 @@ mod tests {
         validate("diffusion_source.wgsl", include_str!("diffusion_source.wgsl"), &[]);
         validate("diffusion_solve.wgsl", include_str!("diffusion_solve.wgsl"), &[]);
         validate("diffusion_scatter.wgsl", include_str!("diffusion_scatter.wgsl"), &[]);
-        validate("outgoing.wgsl", include_str!("outgoing.wgsl"), &[]);
-        validate("volume.wgsl", include_str!("volume.wgsl"), &[]);
+        validate("debug.wgsl", include_str!("debug.wgsl"), &[]);
+        for defs in [&[][..], &["SCATTERED_ONLY"]] {
+            validate("outgoing.wgsl", include_str!("outgoing.wgsl"), defs);
+            validate("volume.wgsl", include_str!("volume.wgsl"), defs);
+        }
         for defs in [&[][..], &["EQUIRECT"], &["COEFFICIENTS"]] {
             validate("constellation_radiance.wgsl", include_str!("constellation_radiance.wgsl"), defs);
         }

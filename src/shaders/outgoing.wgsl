@@ -80,7 +80,11 @@ fn leave(@builtin(global_invocation_id) id: vec3<u32>) {
         let probe = l * PROBES + i;
         var sum = vec3(0.0);
         for (var k = 0u; k < lighting.light_coefficients; k++) {
+#ifdef SCATTERED_ONLY
+            var light = vec3(0.0);
+#else
             var light = probes[probe * SH_COEFFICIENTS + k].rgb;
+#endif
             if k < lighting.coefficients {
                 light += scattered(l, probe, k);
             }

@@ -108,7 +108,9 @@ fn reconstruct(@builtin(global_invocation_id) id: vec3<u32>) {
         let column = max(columns[i / 4u][i % 4u] * normalize_by, 0.0);
         // Light travels from the lamp, and on toward the eye: both against these two.
         let scattered = lighting.scatter[0].rgb * phase(dot(light.direction, look), lighting.g);
+#ifndef SCATTERED_ONLY
         radiance += scattered * light.irradiance * exp(-lighting.sigma * column);
+#endif
         if lighting.coefficients > 0u && lighting.lamps[i].is_sun == 0u {
             radiance += second_glow(light, d * frame.density_scale, radii * normalize_by);
         }

@@ -16,6 +16,10 @@ mod character;
 #[allow(dead_code)]
 #[path = "../../examples/demo.rs"]
 mod demo;
+#[cfg(feature = "egui")]
+#[allow(dead_code)]
+#[path = "../../examples/lab/main.rs"]
+mod lab;
 #[allow(dead_code)]
 #[path = "../../examples/lamps.rs"]
 mod lamps;
@@ -176,4 +180,84 @@ fn playback_obeys_keys() {
     let slower = [1.0, 0.5, 0.25, 0.1, -0.1].map(|_| press(KeyCode::ArrowDown).speed);
     assert_eq!(slower, [1.0, 0.5, 0.25, 0.1, -0.1]);
     assert_eq!(press(KeyCode::KeyM).mode, PlaybackMode::PingPong);
+}
+
+#[cfg(feature = "egui")]
+#[test]
+fn the_lab_opens_what_it_knows_and_names_what_it_does_not() {
+    use bevy_smoke::panel::{SmokePanel, SmokePanelPlugin};
+
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    let assets = AssetPlugin::default().file_path;
+    let mut headless = Headless::with_plugins(UVec2::new(480, 300), TextureFormat::Rgba8UnormSrgb, assets, |app| {
+        app.add_plugins((SmokePanelPlugin, lab::open::OpenPlugin, lab::bake::BakePlugin, lab::camera::OrbitPlugin));
+    })
+    .unwrap();
+    headless.draw_cameras_to_image();
+    headless.app.add_systems(Startup, lab::setup);
+    headless.app.update();
+
+    let open = |headless: &mut Headless, files: &[std::path::PathBuf]| {
+        headless.app.world_mut().resource_mut::<lab::open::Queue>().add(files.to_vec());
+    };
+    let wait = |headless: &mut Headless, what: &str, until: &dyn Fn(&SmokeVolume, Option<&str>) -> bool| {
+        for _ in 0..600 {
+            headless.app.update();
+            let world = headless.app.world_mut();
+            let notice = world.resource::<SmokePanel>().notice.clone();
+            let mut volumes = world.query::<&SmokeVolume>();
+            if volumes.iter(world).any(|volume| until(volume, notice.as_deref())) {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        panic!("{what}: {:?}", headless.app.world().resource::<SmokePanel>().notice);
+    };
+    let plays = |volume: &SmokeVolume, name: &str| {
+        volume.animation().and_then(|animation| animation.path()).is_some_and(|path| path.to_string().ends_with(name))
+    };
+    open(&mut headless, &["plume.smoke".into()]);
+    wait(&mut headless, "a bundle plays", &|volume, _| plays(volume, "plume.smoke"));
+    headless.settle().unwrap();
+    save("lab", UVec2::new(480, 300), &headless.pixels());
+
+    // What goes wrong is said, and what was there stays.
+    std::fs::write(file("broken.smoke"), b"no bundle at all").unwrap();
+    std::fs::write(file("broken.vdb"), b"no grid at all").unwrap();
+    for (name, says) in [
+        ("notes.txt", "not a file that is known here"),
+        ("broken.smoke", "cannot be shown"),
+        ("missing.hdr", "cannot be shown"),
+        ("broken.vdb", "Not baked"),
+    ] {
+        open(&mut headless, &[file(name)]);
+        wait(&mut headless, name, &|volume, notice| {
+            notice.is_some_and(|notice| notice.contains(name) && notice.contains(says) && !notice.contains('\n'))
+                && plays(volume, "plume.smoke")
+        });
+    }
+
+    // Density is shown as it is, and then baked.
+    std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/vdb/float_zip.vdb"), file("cloud.vdb")).unwrap();
+    open(&mut headless, &[file("cloud.vdb")]);
+    wait(&mut headless, "density", &|volume, _| !plays(volume, "plume.smoke"));
+    wait(&mut headless, "a bake", &|volume, _| plays(volume, "cloud.smoke"));
+    assert!(file("cloud.smoke").exists());
+
+    // An image lights it.
+    let texels = [[1.0_f32, 0.5, 0.25]; 8];
+    let mut hdr = Vec::new();
+    image::codecs::hdr::HdrEncoder::new(&mut hdr).encode(&texels.map(image::Rgb), 4, 2).unwrap();
+    std::fs::write(file("sky.hdr"), hdr).unwrap();
+    open(&mut headless, &[file("sky.hdr")]);
+    for _ in 0..200 {
+        headless.app.update();
+        std::thread::sleep(Duration::from_millis(5));
+        let world = headless.app.world_mut();
+        if world.query::<&SmokeEnvironment>().iter(world).any(|e| matches!(e, SmokeEnvironment::Equirect { .. })) {
+            return;
+        }
+    }
+    panic!("the image does not light the smoke");
 }

@@ -6,12 +6,15 @@
 mod cameras;
 mod compositing;
 mod constellation;
+mod debug;
 mod effects;
 mod endurance;
 mod environments;
 mod examples;
 mod lamps;
 mod live;
+#[cfg(feature = "egui")]
+mod panel;
 mod playback;
 mod quality;
 mod scattering;

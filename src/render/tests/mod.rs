@@ -7,6 +7,7 @@
 
 mod coarse;
 mod constellation;
+mod debug;
 mod density;
 mod diffusion;
 mod environment;
