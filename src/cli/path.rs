@@ -307,7 +307,8 @@ mod tests {
             ("blob.npy -o out.exr --method path --frames 2", "draws a scene once"),
             ("none.npy -o out.exr --method path", "none.npy"),
             ("blob.npy -o blob.npy --method path", "written as .exr or .png"),
-            ("blob.npy -o out.exr --method rbf", "bake it first"),
+            ("blob.npy -o out.exr --method paper", "bake it first"),
+            ("blob.npy -o out.exr --method path --lights 4", "are for --method constellation"),
             ("blob.smoke -o out.exr --method rbf --spp 5", "a square number"),
             ("blob.smoke -o out.exr --halves", "are for --method path"),
         ] {

@@ -23,34 +23,25 @@ pub struct QualityChoice {
     pub is_met: bool,
 }
 
-/// How many times as long as on the GPU that prices are from light and the march take on the one at hand.
+/// How many times as long as on the GPU that prices are from frames take on the one at hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Pace {
-    pub light: f32,
-    pub view: f32,
-}
+pub(crate) struct Pace(pub f32);
 
 impl Default for Pace {
     fn default() -> Self {
-        Self { light: 1.0, view: 1.0 }
+        Self(1.0)
     }
 }
 
 impl Pace {
-    /// Follows what has been measured beside what was predicted, slowly.
-    pub fn toward(self, measured: Milliseconds, predicted: Milliseconds) -> Self {
-        let follow = |pace: f32, measured: f32, predicted: f32| {
-            let ratio = measured / predicted;
-            if measured > 0.0 && ratio.is_finite() { pace + 0.05 * (ratio - pace) } else { pace }
-        };
-        Self {
-            light: follow(self.light, measured.light, predicted.light),
-            view: follow(self.view, measured.view, predicted.view),
-        }
+    /// Follows what has been measured, in milliseconds, beside what was predicted, slowly.
+    pub fn toward(self, measured: f32, predicted: Milliseconds) -> Self {
+        let ratio = measured / predicted.total();
+        if measured > 0.0 && ratio.is_finite() { Self(self.0 + 0.05 * (ratio - self.0)) } else { self }
     }
 
     fn of(&self, predicted: Milliseconds) -> f32 {
-        self.light * predicted.light + self.view * predicted.view
+        self.0 * predicted.total()
     }
 }
 
@@ -177,7 +168,7 @@ mod tests {
             rbfs: 600.0,
             is_reducible: true,
             can_halve: true,
-            optical_radius: 0.3,
+            optical_radius: 0.1,
             g: 0.0,
             multiple: true,
             cells: 1e6,
@@ -222,15 +213,14 @@ mod tests {
     #[test]
     fn a_slow_gpu_gets_less() {
         let asked = SmokeQuality::Budget(best(SmokeQuality::default(), &setting()).milliseconds);
-        let slow = Pace { light: 4.0, view: 4.0 };
+        let slow = Pace(4.0);
         let choice = QualityChoice::best(asked, &setting(), &slow);
         assert!(choice.is_met && choice.error > best(asked, &setting()).error);
         // Measurements lead there.
         let predicted = Milliseconds { light: 1.0, view: 2.0 };
-        let measured = Milliseconds { light: 4.0, view: 8.0 };
-        let pace = (0..200).fold(Pace::default(), |pace, _| pace.toward(measured, predicted));
-        assert!((pace.light - 4.0).abs() < 0.01 && (pace.view - 4.0).abs() < 0.01);
-        assert_eq!(pace.toward(Milliseconds::default(), predicted), pace, "nothing was measured");
+        let pace = (0..200).fold(Pace::default(), |pace, _| pace.toward(12.0, predicted));
+        assert!((pace.0 - 4.0).abs() < 0.01);
+        assert_eq!(pace.toward(0.0, predicted), pace, "nothing was measured");
     }
 
     #[test]

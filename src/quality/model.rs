@@ -42,8 +42,8 @@ pub struct Coefficients {
     pub probes: [f32; 2],
     /// Of fewer directions: 1, ln(64 / directions).
     pub directions: [f32; 2],
-    /// Of fewer bands: 1, ln |g|, order.
-    pub order: [f32; 3],
+    /// Of fewer bands: 1, order times ln |g|.
+    pub order: [f32; 2],
     /// Of steps longer than half a cell: 1, ln of their cells.
     pub step: [f32; 2],
     /// Of half resolution: 1, ln of the cells a pixel.
@@ -115,7 +115,7 @@ impl Setting {
         add(true, &by.base, &base);
         add(model.probes == 1, &by.probes, &[1.0, radius]);
         add(model.directions < 64, &by.directions, &[1.0, (64.0 / model.directions as f32).ln()]);
-        let order = [1.0, self.g.abs().max(0.01).ln(), model.order as f32];
+        let order = [1.0, model.order as f32 * self.g.abs().max(0.01).ln()];
         add(model.order < 4 && self.g != 0.0, &by.order, &order);
         add(model.step > 0.5, &by.step, &[1.0, model.step.ln()]);
         add(model.half_resolution && self.can_halve, &by.half, &[1.0, self.cells_a_pixel.max(1e-3).ln()]);

@@ -26,7 +26,7 @@ use crate::occluder::SmokeOccluder;
 #[cfg(feature = "reference")]
 use crate::paper::SmokePaper;
 use crate::playback::{Moment, SmokeMoment};
-use crate::quality::{Milliseconds, SmokeModel, SmokeQuality};
+use crate::quality::{SmokeModel, SmokeQuality};
 use crate::scattering::SmokeScattering;
 use crate::shadows::SmokeShadows;
 use crate::sun::EnvironmentSuns;
@@ -44,8 +44,8 @@ pub(super) struct ExtractedSmoke {
     /// Whether a camera sees the shadows of spheres on meshes, smoke or no smoke.
     pub meshes_shade_meshes: bool,
     pub suns: EnvironmentSuns,
-    /// What the passes have taken of late, where that is measured.
-    pub measured: Option<Milliseconds>,
+    /// Milliseconds that the passes have taken of late, where that is measured.
+    pub measured: Option<f32>,
 }
 
 impl ExtractedSmoke {

@@ -66,7 +66,7 @@ impl Qualities {
     pub fn choose<'a>(
         &mut self,
         volume_of: impl Fn(MainEntity) -> &'a ExtractedVolume,
-        measured: Option<Milliseconds>,
+        measured: Option<f32>,
         stats: &SmokeRenderStats,
     ) {
         if let Some(measured) = measured {
@@ -98,8 +98,8 @@ impl Qualities {
     }
 }
 
-/// What the passes have taken of late, where `RenderDiagnosticsPlugin` measures.
-pub(super) fn measured(diagnostics: &DiagnosticsStore) -> Option<Milliseconds> {
+/// Milliseconds that the passes have taken of late, where `RenderDiagnosticsPlugin` measures.
+pub(super) fn measured(diagnostics: &DiagnosticsStore) -> Option<f32> {
     let time = |name: &str| {
         let path = DiagnosticPath::new(format!("render/{name}/elapsed_gpu"));
         diagnostics.get(&path).and_then(Diagnostic::smoothed).map(|ms| ms as f32)
@@ -111,5 +111,5 @@ pub(super) fn measured(diagnostics: &DiagnosticsStore) -> Option<Milliseconds> {
         super::outgoing::LABEL,
         super::volume::LABEL,
     ];
-    Some(Milliseconds { light: light.into_iter().filter_map(time).sum(), view: time(view::LABEL)? })
+    Some(time(view::LABEL)? + light.into_iter().filter_map(time).sum::<f32>())
 }

@@ -52,10 +52,6 @@ const SELF_SHADOW: u32 = 2u;
 
 // Of pixels that show no smoke; as in constellation_mask.wgsl.
 const NONE: u32 = 0xffffffffu;
-// Lights that one draw sums, where draws can be added up: long loops are not every driver's strength, and Mesa's CPU driver
-// (lavapipe 22.3) silently ends a shader's loops after 65,535 rounds of all of them together. As in
-// render/constellation/mod.rs.
-const LIGHTS_A_DRAW: u32 = 16u;
 // Shadow rays end where no more than a millionth gets through.
 const DARK: f32 = 14.0;
 // Steps through other smoke.
@@ -75,6 +71,13 @@ struct Counts {
     lamps: u32,
     casters: u32,
     spheres: u32,
+}
+
+// Lights that one draw sums, where draws can be added up: long loops are not every driver's strength, and Mesa's CPU driver
+// (lavapipe 22.3) silently ends a shader's loops after 65,535 rounds of all of them together. Few draws, for each rounds what
+// a target of halves holds. As in render/constellation/mod.rs.
+fn lights_a_draw(options: Options) -> u32 {
+    return select(options.light_count, max(4u, (options.light_count + 15u) / 16u), options.shading == SELF_SHADOW);
 }
 
 fn loop_counts() -> Counts {

@@ -20,7 +20,7 @@
 #import bevy_smoke::march::{Ray, ray_through, texture_position}
 #ifdef CONSTELLATION
 #import bevy_smoke::constellation::{
-    Counts, LIGHTS_A_DRAW, NONE, Options, first_samples, loop_counts, settings, source_radiance
+    Counts, NONE, Options, first_samples, lights_a_draw, loop_counts, settings, source_radiance
 }
 #import bevy_smoke::march::empty_samples
 #endif
@@ -124,7 +124,7 @@ fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: 
     let options = settings.options;
     let draw = instance / (8u * #{SAMPLES}u);
     out.sample = instance % #{SAMPLES}u;
-    out.lights = vec2(draw, draw + 1u) * LIGHTS_A_DRAW;
+    out.lights = vec2(draw, draw + 1u) * lights_a_draw(options);
 #ifdef TONEMAP_IN_SHADER
     // Display colours cannot be added up.
     out.lights = vec2(0u, options.light_count);

@@ -111,7 +111,7 @@ fn mask_and_distance_map_change_nothing_but_the_time() {
 
 #[test]
 fn draws_and_slabs_add_up() {
-    // 20 lights take two draws; a pane in the smoke that cannot be seen cuts it into two slabs.
+    // 20 lights take five draws; a pane in the smoke that cannot be seen cuts it into two slabs.
     let picture = |pane: bool, msaa: Msaa| {
         let mut app = app();
         let smoke = smoke(&mut app);

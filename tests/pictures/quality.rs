@@ -4,6 +4,7 @@ use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
 use bevy_smoke::headless::Headless;
 use bevy_smoke::prelude::*;
+use bevy_smoke::render::SmokeRenderStats;
 
 use crate::scene::*;
 
@@ -131,4 +132,37 @@ fn light_is_computed_every_few_frames() {
     assert_eq!(dispatches(&app)[4], settled[4]);
     let changes = brightness.windows(2).filter(|pair| pair[0] != pair[1]).count();
     assert!((2..=4).contains(&changes), "{brightness:?}");
+}
+
+/// What chooses itself keeps its word against the full model's picture, says why, and does not change while little does.
+#[test]
+fn a_quality_is_chosen_and_explained() {
+    let most = 0.04;
+    let chosen = |quality: SmokeQuality| {
+        let mut app = app();
+        let smoke = smoke(&mut app);
+        let volume = app.app.world_mut().spawn((smoke, quality)).id();
+        let camera = camera(&app);
+        let camera = app.app.world_mut().spawn(camera).id();
+        let picture = draw(&mut app);
+        let choice = |app: &Headless| app.app.world().resource::<SmokeRenderStats>().quality(volume).unwrap();
+        let first = choice(&app);
+        for frame in 0..40 {
+            let mut entity = app.app.world_mut().entity_mut(camera);
+            entity.get_mut::<Transform>().unwrap().translation.x = 0.02 * (frame as f32).sin();
+            app.app.update();
+        }
+        assert_eq!(choice(&app).model, first.model, "it changes as the camera sways");
+        (picture, first)
+    };
+    let (full, asked_for) = chosen(SmokeQuality::default());
+    assert_eq!(asked_for.model, FULL);
+    let (auto, choice) = chosen(SmokeQuality::Error(most));
+    println!("{choice}");
+    assert!(choice.is_met && choice.error <= most && choice.milliseconds < 0.7 * asked_for.milliseconds);
+    assert!(choice.to_string().contains("the cheapest within 4.0 %"), "{choice}");
+    let error = rms(&auto, &full) / rms(&full, &vec![[0.0; 4]; full.len()]);
+    println!("{:.2} % off the full model's picture", 100.0 * error);
+    // Predictions are good to a quarter or so.
+    assert!(error < 1.3 * f64::from(most), "{error}");
 }

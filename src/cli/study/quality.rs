@@ -202,9 +202,9 @@ fn choose(
         let measured = stage.measure(chosen, false)?;
         let known: Vec<&Measurement> =
             measurements.iter().filter(|m| m.scene == subject.name && m.error.is_some()).collect();
-        let (error, time) = (measured.error.unwrap_or_default(), measured.milliseconds());
-        let fastest = known.iter().filter(|m| m.error.unwrap_or(1.0) <= error).map(|m| m.milliseconds());
-        let closest = known.iter().filter(|m| m.milliseconds() <= time).filter_map(|m| m.error);
+        let (error, time) = (measured.error.unwrap_or_default(), measured.milliseconds);
+        let fastest = known.iter().filter(|m| m.error.unwrap_or(1.0) <= error).map(|m| m.milliseconds);
+        let closest = known.iter().filter(|m| m.milliseconds <= time).filter_map(|m| m.error);
         choices.push(Chosen {
             scene: subject.name.clone(),
             held_out: subject.held_out,
@@ -229,7 +229,7 @@ fn predict(measurements: &[Measurement], fit: &Fit, held_out: bool) -> Predictio
     for m in measurements.iter().filter(|m| m.held_out == held_out && (held_out || !m.is_fitted)) {
         let Some(error) = m.error else { continue };
         sums[0] += (fit.error(&m.setting, &m.model) / error).ln().powi(2);
-        sums[1] += (fit.milliseconds(&m.setting, &m.model) / m.milliseconds()).ln().powi(2);
+        sums[1] += (fit.milliseconds(&m.setting, &m.model) / m.milliseconds).ln().powi(2);
         prediction.pictures += 1;
     }
     let rms = |sum: f64| (sum / prediction.pictures.max(1) as f64).sqrt();

@@ -206,14 +206,11 @@ pub(super) fn choose_scattering(volume: MainEntity, events: ScatteringEvents) ->
     ScatteringChoice { multiple: false, auto: false, share: None }
 }
 
-/// Lights that one draw sums, at most; as in `constellation.wgsl`.
-const LIGHTS_A_DRAW: u32 = 16;
-
-/// Draws by which a volume's light is summed.
+/// Draws by which a volume's light is summed: a draw sums as many lights as `lights_a_draw` of `constellation.wgsl` says.
 pub(super) fn draws(settings: &SmokeConstellation) -> u32 {
     match settings.shading {
-        ConstellationShading::Alpha => 1,
-        _ => settings.lights.div_ceil(LIGHTS_A_DRAW),
+        ConstellationShading::SelfShadow => settings.lights.div_ceil(settings.lights.div_ceil(16).max(4)),
+        _ => 1,
     }
 }
 

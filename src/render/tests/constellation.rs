@@ -262,7 +262,7 @@ fn the_picture_matches_its_twin() {
         (ConstellationShading::Alpha, 5, true),
         (ConstellationShading::Primary, 19, false),
         (ConstellationShading::SelfShadow, 5, false),
-        // Two draws.
+        // Five draws.
         (ConstellationShading::SelfShadow, 19, true),
     ] {
         let settings = SmokeConstellation { lights, shading, mask, skip_empty: mask, ..default() };
@@ -296,7 +296,7 @@ fn the_picture_matches_its_twin() {
             [radiance.x, radiance.y, radiance.z, 1.0 - transmittance]
         });
         let what = format!("constellation, {shading:?}, {lights} lights");
-        // Densities are halves, and so is the picture; two draws round twice.
+        // Densities are halves, and so is the picture; every draw rounds once.
         assert_close(&what, HALF, found.iter().flatten().map(|&v| f64::from(v)), expected);
     }
 }

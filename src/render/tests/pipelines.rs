@@ -6,5 +6,5 @@ fn compute_pipelines_are_made() {
     let gpu = Gpu::new();
     let failures: Vec<String> = gpu.passes().all().filter_map(|pass| pass.failure(gpu.cache())).collect();
     assert_eq!(failures, Vec::<String>::new());
-    assert_eq!(gpu.passes().all().count(), 35);
+    assert_eq!(gpu.passes().all().count(), 41);
 }

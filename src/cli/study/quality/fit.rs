@@ -67,7 +67,7 @@ pub fn fit(measurements: &[Measurement]) -> Fit {
     let directions = directions.map(|m| ([1.0, (64.0 / f64::from(m.model.directions)).ln()], log(m.change)));
     let order = only(|m| SmokeModel { order: 4, ..*m });
     let order =
-        order.map(|m| ([1.0, f64::from(m.setting.g.abs().max(0.01)).ln(), f64::from(m.model.order)], log(m.change)));
+        order.map(|m| ([1.0, f64::from(m.model.order) * f64::from(m.setting.g.abs().max(0.01)).ln()], log(m.change)));
     let step = only(|m| SmokeModel { step: 0.5, ..*m });
     let step = step.map(|m| ([1.0, f64::from(m.model.step).ln()], log(m.change)));
     // At the size that it was drawn at.
@@ -85,37 +85,26 @@ pub fn fit(measurements: &[Measurement]) -> Fit {
     Fit { coefficients }
 }
 
-/// The prices of work, each from the times of the pass that does it, all relative errors being alike.
+/// The prices of work, from the times of whole frames, all relative errors being alike.
 fn prices(measurements: &[Measurement]) -> [f32; WORK] {
-    let work = |m: &Measurement| m.setting.work(&m.model).map(f64::from);
-    let seen: Vec<&Measurement> = measurements.iter().filter(|m| !m.held_out).collect();
-    let mut prices = [0.0_f32; WORK];
-    // Times of a pass by parts of the work, the prices of which are to be found.
-    let [march, blend] = relative(seen.iter().map(|m| ([work(m)[0], work(m)[1]], m.times[0])));
-    let [gather] = relative(seen.iter().map(|m| ([work(m)[2]], m.times[1])));
-    let [pairs] = relative(seen.iter().map(|m| ([work(m)[3]], m.times[2])));
-    let [sweeps, fixed] = relative(seen.iter().map(|m| ([work(m)[4], work(m)[7]], m.times[3])));
-    let [cells, cells_rbfs] = relative(seen.iter().map(|m| ([work(m)[5], work(m)[6]], m.times[4])));
-    for (price, value) in prices.iter_mut().zip([march, blend, gather, pairs, sweeps, cells, cells_rbfs, fixed]) {
-        *price = value;
-    }
-    prices
+    let seen = measurements.iter().filter(|m| !m.held_out);
+    relative(seen.map(|m| (m.setting.work(&m.model).map(f64::from), m.milliseconds)))
 }
 
 /// Least squares in which each row counts by its relative error; nothing below 0.
 fn relative<const N: usize>(rows: impl Iterator<Item = Row<N>>) -> [f32; N] {
     let rows: Vec<Row<N>> =
         rows.filter(|(_, time)| *time > 0.0).map(|(features, time)| (features.map(|f| f / time), 1.0)).collect();
-    let found = solve(rows.iter().copied());
-    if found.iter().all(|value| *value >= 0.0) {
-        return found;
+    // What helps none is left out, until nothing is below 0.
+    let mut used = [true; N];
+    loop {
+        let keep = |features: [f64; N]| core::array::from_fn(|i| if used[i] { features[i] } else { 0.0 });
+        let found: [f32; N] = solve(rows.iter().map(|(features, one)| (keep(*features), *one)));
+        match (0..N).filter(|&i| found[i] < 0.0).min_by(|&a, &b| found[a].total_cmp(&found[b])) {
+            Some(worst) => used[worst] = false,
+            None => return found,
+        }
     }
-    // One that helps none is left out.
-    let kept = |(mut features, one): Row<N>| {
-        features.iter_mut().zip(found).for_each(|(f, value)| *f *= f64::from(u8::from(value >= 0.0)));
-        (features, one)
-    };
-    solve(rows.into_iter().map(kept)).map(|value| value.max(0.0))
 }
 
 /// Least squares by the normal equations, with a ridge that decides where features are alike.
