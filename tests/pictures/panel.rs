@@ -140,9 +140,16 @@ impl Panel {
         focused.unwrap_or_default()
     }
 
+    /// Whether the smoke is drawn: not while controls are looked for, to be quicker.
+    fn look(&mut self, on: bool) {
+        self.app.app.world_mut().get_mut::<Camera>(self.eye).unwrap().is_active = on;
+    }
+
     fn focus(&mut self, name: &str) {
-        for _ in 0..200 {
+        self.look(false);
+        for _ in 0..250 {
             if self.next() == name {
+                self.look(true);
                 // It takes arrows for its own from the next update on.
                 self.app.app.update();
                 return;
@@ -154,7 +161,8 @@ impl Panel {
     /// The names of all controls.
     fn names(&mut self) -> BTreeSet<String> {
         let mut names = BTreeSet::new();
-        for _ in 0..150 {
+        self.look(false);
+        for _ in 0..250 {
             names.insert(self.next());
         }
         names.remove("");
