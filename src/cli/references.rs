@@ -62,12 +62,31 @@ impl Reference {
         Ok(Self { name: name.into(), scene, density, single, full, alpha })
     }
 
-    /// The error of a picture, given as two independent halves, or one twice.
-    pub fn error(&self, picture: [&[[f32; 3]]; 2], events: Events) -> anyhow::Result<f64> {
-        let [a, b] = match events {
+    /// What a picture is best multiplied by, to come as close as its brightness allows.
+    pub fn brightness(&self, picture: &[[f32; 3]], events: Events) -> f32 {
+        let [a, b] = self.halves(events);
+        let (mut product, mut square) = (0.0, 0.0);
+        let smoke = |alpha: &f32| *alpha > crate::reference::compare::SMOKE_ALPHA;
+        for (i, _) in self.alpha.iter().enumerate().filter(|(_, alpha)| smoke(alpha)) {
+            for c in 0..3 {
+                let x = f64::from(picture[i][c]);
+                product += x * 0.5 * f64::from(a[i][c] + b[i][c]);
+                square += x * x;
+            }
+        }
+        if square > 0.0 { (product / square) as f32 } else { 1.0 }
+    }
+
+    fn halves(&self, events: Events) -> &[Vec<[f32; 3]>; 2] {
+        match events {
             Events::Single => &self.single,
             Events::All => &self.full,
-        };
+        }
+    }
+
+    /// The error of a picture, given as two independent halves, or one twice.
+    pub fn error(&self, picture: [&[[f32; 3]]; 2], events: Events) -> anyhow::Result<f64> {
+        let [a, b] = self.halves(events);
         Ok(image_error(picture, [a, b], &self.alpha)?.relative)
     }
 }

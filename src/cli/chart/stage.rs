@@ -54,6 +54,11 @@ pub(super) struct Drawn {
 }
 
 impl Drawn {
+    /// Brightens the picture.
+    pub fn scale(&mut self, by: f32) {
+        self.halves.iter_mut().flatten().flatten().for_each(|value| *value *= by);
+    }
+
     /// Two independent halves, or the picture twice.
     pub fn halves(&self) -> [&[[f32; 3]]; 2] {
         [&self.halves[0], if self.halves[1].is_empty() { &self.halves[0] } else { &self.halves[1] }]
