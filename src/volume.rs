@@ -151,6 +151,10 @@ pub(crate) struct SmokeVolumePlugin;
 
 impl Plugin for SmokeVolumePlugin {
     fn build(&self, app: &mut App) {
+        // Apps without pictures, such as those that only process assets, have no images.
+        if !app.world().contains_resource::<Assets<Image>>() {
+            app.init_asset::<Image>();
+        }
         app.add_systems(
             PostUpdate,
             (
