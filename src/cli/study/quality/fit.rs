@@ -122,12 +122,12 @@ fn solve<const N: usize>(rows: impl Iterator<Item = Row<N>>) -> [f32; N] {
         row[i] += 1e-6 * row[i] + 1e-12;
     }
     for i in 0..N {
-        for row in i + 1..N {
-            let factor = matrix[row][i] / matrix[i][i];
-            for column in i..N {
-                matrix[row][column] -= factor * matrix[i][column];
-            }
-            right[row] -= factor * right[i];
+        let (pivot, below) = matrix.split_at_mut(i + 1);
+        let pivot = &pivot[i];
+        for (row, values) in below.iter_mut().enumerate() {
+            let factor = values[i] / pivot[i];
+            values.iter_mut().zip(pivot).for_each(|(value, above)| *value -= factor * above);
+            right[i + 1 + row] -= factor * right[i];
         }
     }
     let mut found = [0.0; N];
