@@ -635,7 +635,8 @@ fn pass_stats(counts: &[[u32; SmokeRenderStats::PASSES.len()]], diagnostics: &Di
         .collect()
 }
 
-fn median(mut values: Vec<f64>) -> Option<f64> {
+/// The middle one; None where there are none.
+pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
 }

@@ -7,7 +7,7 @@ use anyhow::Context;
 use bevy::camera::visibility::RenderLayers;
 use bevy::diagnostic::{Diagnostic, DiagnosticPath, DiagnosticsStore};
 use bevy::light::VolumetricFog;
-use bevy::math::{DMat3, DVec3};
+use bevy::math::DVec3;
 use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
 use bevy::render::renderer::RenderAdapterInfo;
@@ -15,7 +15,7 @@ use bevy::render::renderer::RenderAdapterInfo;
 use super::fog::{self, FogLight};
 use super::settings::Setting;
 use crate::bundle::{SmokeAnimation, SmokeFrames};
-use crate::cli::render::{average, environment, medium, read_equirect, spawn_camera};
+use crate::cli::render::{average, environment, median, medium, read_equirect, spawn_camera, turn_light};
 use crate::cli::scene::{Environment, Scene};
 use crate::constellation::SmokeConstellation;
 use crate::density::DensityGrid;
@@ -25,7 +25,7 @@ use crate::prelude::*;
 use crate::reference::path::{self, EquirectImage, Events};
 use crate::reference::{self, Grid, Medium, Ray};
 use crate::render::SmokeRenderStats;
-use crate::sh::{Sh, ShRgb};
+use crate::sh::ShRgb;
 
 /// Rays a pixel of the reference along each side: the picture whose time is measured is so much larger.
 const RAYS: u32 = 2;
@@ -205,15 +205,7 @@ impl Stage {
         if let Some(mut playback) = world.get_mut::<SmokePlayback>(volume) {
             playback.seek(f64::from(frame + 1) / 1000.0);
         }
-        let Some(mut environment) = world.get_mut::<SmokeEnvironment>(volume) else { return };
-        match &mut *environment {
-            SmokeEnvironment::Coefficients { coefficients, .. } => {
-                let turned = Sh(coefficients.map(|c| c.as_dvec3())).rotate(DMat3::from_rotation_y(angle));
-                *coefficients = turned.0.map(|c| c.as_vec3());
-            }
-            SmokeEnvironment::Equirect { rotation, .. } => *rotation = Quat::from_rotation_y(angle as f32) * *rotation,
-            SmokeEnvironment::Camera => {}
-        }
+        turn_light(world, volume, angle);
     }
 
     /// Draws so many frames.
@@ -295,9 +287,4 @@ fn coefficients(scene: &Scene) -> anyhow::Result<ShRgb> {
         }
         lobes => lobes.coefficients().context("lobes have coefficients"),
     }
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }

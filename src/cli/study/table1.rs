@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use crate::cli::input::Smoke;
 use crate::cli::output::print;
-use crate::cli::render::{PictureKind, parse_size, spawn_scene};
+use crate::cli::render::{PictureKind, median, parse_size, spawn_scene};
 use crate::cli::scene::Scene;
 use crate::headless::Headless;
 use crate::prelude::*;
@@ -214,9 +214,4 @@ fn difference(a: &[[f32; 4]], b: &[[f32; 4]]) -> f64 {
     let largest = b.iter().flatten().fold(f32::MIN_POSITIVE, |largest, value| largest.max(*value));
     let off = a.iter().flatten().zip(b.iter().flatten()).fold(0.0f32, |off, (a, b)| off.max((a - b).abs()));
     f64::from(off / largest)
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
