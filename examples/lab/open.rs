@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use bevy::asset::io::file::FileAssetReader;
 use bevy::asset::{AssetPath, LoadState};
 use bevy::prelude::*;
+use bevy_smoke::cli::frames::natural;
 use bevy_smoke::panel::SmokePanel;
 use bevy_smoke::prelude::*;
 
@@ -108,7 +109,8 @@ fn open(
             loading.0.push((file, asset));
         }
         if !densities.is_empty() {
-            densities.sort();
+            // In the order of their numbers.
+            densities.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
             bakes.begin(densities);
         }
     }

@@ -108,7 +108,7 @@ fn matches(pattern: &str, name: &str) -> bool {
 }
 
 /// Compares names, numbers in them by their values.
-fn natural(a: &str, b: &str) -> Ordering {
+pub fn natural(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a, b);
     loop {
         let (digits_a, digits_b) = (digits(left), digits(right));

@@ -78,7 +78,7 @@ impl Plugin for SmokeDebugPlugin {
                 .after(TransformSystems::Propagate)
                 .run_if(resource_exists::<Assets<Mesh>>)
                 .run_if(resource_exists::<Assets<StandardMaterial>>)
-                .run_if(any_with_component::<SmokeDebugView>),
+                .run_if(any_with_component::<SmokeDebugView>.or_else(any_with_component::<markers::Markers>)),
         );
     }
 }

@@ -50,23 +50,32 @@ fn mean(coefficients: &EnvironmentCoefficients) -> Vec3 {
     coefficients[0] / (2.0 * PI.sqrt())
 }
 
-/// An environment of another source that is about as bright; None where there is no image.
+/// An environment of another source whose radiance has the same mean over directions and channels, an image's being taken
+/// for 1; None where there is no image.
 fn switched(
     from: &SmokeEnvironment,
     to: Source,
     coefficients: &EnvironmentCoefficients,
-    image: Option<&Handle<Image>>,
+    image: Option<(&Handle<Image>, Quat)>,
 ) -> Option<SmokeEnvironment> {
     let (radiance, intensity) = match from {
         SmokeEnvironment::Camera => (Vec3::ONE, INTENSITY),
         SmokeEnvironment::Equirect { intensity, .. } => (Vec3::ONE, *intensity),
         SmokeEnvironment::Coefficients { coefficients, intensity } => (mean(coefficients), *intensity),
     };
+    let grey = |radiance: Vec3| radiance.element_sum() / 3.0;
+    let as_bright = |own: f32| if own > 0.0 { intensity * grey(radiance) / own } else { intensity };
     Some(match to {
         Source::Camera => SmokeEnvironment::Camera,
         Source::Constant => SmokeEnvironment::constant(radiance, intensity),
-        Source::Coefficients => SmokeEnvironment::Coefficients { coefficients: *coefficients, intensity },
-        Source::Image => SmokeEnvironment::equirect(image?.clone(), intensity),
+        Source::Coefficients => SmokeEnvironment::Coefficients {
+            coefficients: *coefficients,
+            intensity: as_bright(grey(mean(coefficients))),
+        },
+        Source::Image => {
+            let (image, rotation) = image?;
+            SmokeEnvironment::Equirect { image: image.clone(), intensity: as_bright(1.0), rotation }
+        }
     })
 }
 
@@ -82,7 +91,9 @@ impl Environments<'_, '_> {
         let Ok(mut environment) = self.environments.get_mut(volume) else { return };
         let source = Source::of(&environment);
         match &*environment {
-            SmokeEnvironment::Equirect { image, .. } => panel.image = Some(image.clone()),
+            SmokeEnvironment::Equirect { image, rotation, .. } => {
+                (panel.image, panel.rotation) = (Some(image.clone()), *rotation);
+            }
             SmokeEnvironment::Coefficients { coefficients, .. } if source == Source::Coefficients => {
                 panel.coefficients = *coefficients;
             }
@@ -99,7 +110,8 @@ impl Environments<'_, '_> {
         let there = if panel.image.is_some() { &all[..] } else { &all[..3] };
         widgets::choice(ui, "light", &mut to, there);
         if to != source {
-            next = switched(&next, to, &panel.coefficients, panel.image.as_ref()).unwrap_or(next);
+            let image = panel.image.as_ref().map(|image| (image, panel.rotation));
+            next = switched(&next, to, &panel.coefficients, image).unwrap_or(next);
         }
         edit(ui, &mut next);
         let from_camera = next == SmokeEnvironment::Camera;
@@ -159,7 +171,7 @@ fn edit(ui: &mut Ui, environment: &mut SmokeEnvironment) {
 fn turn(ui: &mut Ui, rotation: &mut Quat) {
     let (yaw, pitch) = heading(*rotation);
     let mut next = yaw;
-    widgets::angle(ui, "rotation, °", &mut next, 180.0);
+    widgets::angle(ui, "rotation, °", &mut next, -180.0..=180.0);
     if next != yaw {
         *rotation = turned(*rotation, next, pitch);
     }
@@ -179,7 +191,7 @@ mod tests {
         assert_eq!(all.each_ref().map(Source::of), sources);
         for from in &all {
             for to in sources {
-                let next = switched(from, to, &super::sky(), Some(&Handle::default())).unwrap();
+                let next = switched(from, to, &super::sky(), Some((&Handle::default(), Quat::IDENTITY))).unwrap();
                 assert_eq!(Source::of(&next), to);
             }
             assert_eq!(switched(from, Source::Image, &super::sky(), None), None);
@@ -188,19 +200,26 @@ mod tests {
 
     #[test]
     fn switching_keeps_brightness() {
-        let constant = SmokeEnvironment::constant(Vec3::splat(0.5), 3.0);
-        let Some(SmokeEnvironment::Coefficients { intensity, .. }) =
-            switched(&constant, Source::Coefficients, &sky(), None)
-        else {
-            panic!("coefficients were asked for");
+        let brightness = |environment: &SmokeEnvironment| match environment {
+            SmokeEnvironment::Coefficients { coefficients, intensity } => mean(coefficients) * *intensity,
+            SmokeEnvironment::Equirect { intensity, .. } => Vec3::splat(*intensity),
+            SmokeEnvironment::Camera => panic!("nobody knows"),
         };
-        assert_eq!(intensity, 3.0);
-        let sky = SmokeEnvironment::Coefficients { coefficients: sky(), intensity: 3.0 };
-        // The mean of the sky is 1: rounding alone is lost.
-        let back = switched(&sky, Source::Constant, &super::sky(), None).unwrap();
-        let SmokeEnvironment::Coefficients { coefficients, intensity } = back else { panic!() };
-        assert!((mean(&coefficients) - Vec3::ONE).abs().max_element() < 1e-6);
-        assert_eq!(intensity, 3.0);
+        let mut bright = sky();
+        bright.iter_mut().for_each(|c| *c *= 4.0);
+        let turned = Quat::from_rotation_y(0.7);
+        let (constant, image) = (SmokeEnvironment::constant(Vec3::splat(0.5), 3.0), Handle::default());
+        for to in [Source::Coefficients, Source::Constant, Source::Image] {
+            let next = switched(&constant, to, &bright, Some((&image, turned))).unwrap();
+            assert!((brightness(&next) - 1.5).abs().max_element() < 1e-5, "{next:?}");
+            let back = switched(&next, Source::Constant, &bright, None).unwrap();
+            assert!((brightness(&back) - 1.5).abs().max_element() < 1e-5, "{back:?}");
+            if let SmokeEnvironment::Equirect { rotation, .. } = next {
+                assert_eq!(rotation, turned);
+            }
+        }
+        let dark = switched(&constant, Source::Coefficients, &[Vec3::ZERO; 16], None).unwrap();
+        assert_eq!(brightness(&dark), Vec3::ZERO);
     }
 
     #[test]

@@ -90,9 +90,9 @@ fn show_spot(ui: &mut Ui, mut spot: Mut<SpotLight>) {
         (spot.color, spot.intensity) = (light.color(), light.strength);
     }
     let mut outer = spot.outer_angle;
-    widgets::angle(ui, "spot light half angle, °", &mut outer, 89.0);
+    widgets::angle(ui, "spot light half angle, °", &mut outer, 0.0..=89.0);
     if outer != spot.outer_angle {
-        spot.outer_angle = outer.max(0.0);
+        spot.outer_angle = outer;
         spot.inner_angle = spot.inner_angle.min(spot.outer_angle);
     }
 }
@@ -109,8 +109,8 @@ fn show_position<'a>(ui: &mut Ui, what: &str, mut transform: Mut<'a, Transform>)
 fn show_heading(ui: &mut Ui, what: &str, mut transform: Mut<Transform>) {
     let before = heading(transform.rotation);
     let (mut yaw, mut pitch) = before;
-    widgets::angle(ui, &format!("{what} turn, °"), &mut yaw, 180.0);
-    widgets::angle(ui, &format!("{what} tilt, °"), &mut pitch, 90.0);
+    widgets::angle(ui, &format!("{what} turn, °"), &mut yaw, -180.0..=180.0);
+    widgets::angle(ui, &format!("{what} tilt, °"), &mut pitch, -90.0..=90.0);
     if (yaw, pitch) != before {
         transform.rotation = turned(transform.rotation, yaw, pitch);
     }

@@ -70,6 +70,8 @@ pub struct SmokePanel {
     pub notice: Option<String>,
     /// A latitude-longitude image that volumes can be lit by. The panel keeps the last one that it has seen on a volume.
     pub image: Option<Handle<Image>>,
+    /// How it is turned.
+    pub rotation: Quat,
     /// The file that "save" writes.
     pub scene: String,
     /// Coefficients that volumes can be lit by: the last that the panel has seen on a volume.
@@ -83,6 +85,7 @@ impl Default for SmokePanel {
             volume: None,
             notice: None,
             image: None,
+            rotation: Quat::IDENTITY,
             scene: "smoke.scn.ron".into(),
             coefficients: environment::sky(),
         }

@@ -1,7 +1,8 @@
 //! Smoke and lights that have been set up, as a file that games load.
 //!
 //! The file is one of Bevy's own, a [`DynamicWorld`] in RON, with the extension `.scn.ron`: every volume with its medium,
-//! environment, scattering, quality, playback and place, and every light of Bevy's with its place. A game with this crate's
+//! environment, scattering, constellation, quality, playback and place, and every light of Bevy's with its place: those in the
+//! world, whatever they were children of. A game with this crate's
 //! [`SmokePlugin`](crate::SmokePlugin), Bevy's feature `bevy_world_serialization` and its `WorldSerializationPlugin` (one of
 //! `DefaultPlugins`) loads it as any asset, without the feature `egui`:
 //!
@@ -18,10 +19,11 @@
 
 use std::path::{Path, PathBuf};
 
-use bevy::light::NotShadowCaster;
+use bevy::light::{CascadeShadowConfig, NotShadowCaster};
 use bevy::prelude::*;
 
 use super::SmokePanel;
+use crate::constellation::SmokeConstellation;
 use crate::lighting::SmokeEnvironment;
 use crate::medium::SmokeMedium;
 use crate::playback::SmokePlayback;
@@ -38,6 +40,9 @@ pub enum SceneError {
     /// A volume's bundle, or its image, was made in memory.
     #[error("smoke volume {0} shows what was made in memory: save that as a file first, and load it from there")]
     InMemory(Entity),
+    /// Bevy would not load the file.
+    #[error("{0}: the name of a scene ends in .scn.ron")]
+    Name(PathBuf),
     /// The file cannot be written.
     #[error("{path}: {source}")]
     Io {
@@ -79,15 +84,18 @@ pub fn scene_text(world: &World) -> Result<String, SceneError> {
     // The same scene is the same file.
     saved.sort();
     let registry = world.resource::<AppTypeRegistry>().read();
-    let scene = DynamicWorldBuilder::from_world(world, &registry)
+    let mut scene = DynamicWorldBuilder::from_world(world, &registry)
         .deny_all()
         .allow_component::<SmokeVolume>()
         .allow_component::<SmokeMedium>()
         .allow_component::<SmokeEnvironment>()
         .allow_component::<SmokeScattering>()
+        .allow_component::<SmokeConstellation>()
         .allow_component::<SmokeQuality>()
         .allow_component::<SmokePlayback>()
         .allow_component::<NotShadowCaster>()
+        .allow_component::<Visibility>()
+        .allow_component::<CascadeShadowConfig>()
         .allow_component::<DirectionalLight>()
         .allow_component::<PointLight>()
         .allow_component::<SpotLight>()
@@ -95,6 +103,15 @@ pub fn scene_text(world: &World) -> Result<String, SceneError> {
         .allow_component::<Name>()
         .extract_entities(saved.into_iter())
         .build();
+    // Nobody is a child in the file.
+    for saved in &mut scene.entities {
+        let Some(at) = world.get::<ChildOf>(saved.entity).and(world.get::<GlobalTransform>(saved.entity)) else {
+            continue;
+        };
+        for component in saved.components.iter_mut().filter(|component| component.represents::<Transform>()) {
+            *component = Box::new(at.compute_transform());
+        }
+    }
     scene.serialize(&registry).map_err(|error| SceneError::Serialize(error.to_string()))
 }
 
@@ -102,8 +119,11 @@ pub fn scene_text(world: &World) -> Result<String, SceneError> {
 ///
 /// # Errors
 ///
-/// Those of [`scene_text`], and a file that cannot be written.
+/// Those of [`scene_text`], [`SceneError::Name`], and a file that cannot be written.
 pub fn save_scene(world: &World, path: &Path) -> Result<(), SceneError> {
+    if !path.to_string_lossy().ends_with(".scn.ron") {
+        return Err(SceneError::Name(path.into()));
+    }
     let text = scene_text(world)?;
     let io = |source| SceneError::Io { path: path.into(), source };
     let mut partial = path.as_os_str().to_owned();

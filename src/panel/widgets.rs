@@ -22,21 +22,21 @@ pub(super) fn magnitude(ui: &mut Ui, name: &str, value: &mut f32, range: RangeIn
 }
 
 /// Degrees of an angle in radians.
-pub(super) fn angle(ui: &mut Ui, name: &str, radians: &mut f32, limit: f32) {
+pub(super) fn angle(ui: &mut Ui, name: &str, radians: &mut f32, range: RangeInclusive<f32>) {
     let mut degrees = radians.to_degrees();
-    number(ui, name, &mut degrees, -limit..=limit);
+    number(ui, name, &mut degrees, range);
     // Radians that nobody has moved stay as they are, to the bit.
     if degrees != radians.to_degrees() {
         *radians = degrees.to_radians();
     }
 }
 
-/// A linear colour, each channel from 0 to 1: a swatch that opens a picker, and the channels by number.
+/// A linear colour or radiance: a swatch that opens a picker, and the channels by number.
 pub(super) fn color(ui: &mut Ui, name: &str, rgb: &mut [f32; 3]) {
     ui.horizontal(|ui| {
         ui.color_edit_button_rgb(rgb);
         for (value, channel) in rgb.iter_mut().zip(["red", "green", "blue"]) {
-            named(ui, &format!("{name} {channel}"), DragValue::new(value).speed(0.01).range(0.0..=1.0).max_decimals(3));
+            named(ui, &format!("{name} {channel}"), value, (0.01, 3), 0.0..=1e6);
         }
         ui.label(name);
     });
@@ -46,16 +46,23 @@ pub(super) fn color(ui: &mut Ui, name: &str, rgb: &mut [f32; 3]) {
 pub(super) fn position(ui: &mut Ui, name: &str, at: &mut [f32; 3]) {
     ui.horizontal(|ui| {
         for (value, axis) in at.iter_mut().zip(["x", "y", "z"]) {
-            named(ui, &format!("{name} {axis}"), DragValue::new(value).speed(0.05).max_decimals(2));
+            named(ui, &format!("{name} {axis}"), value, (0.05, 2), f32::MIN..=f32::MAX);
         }
         ui.label(name);
     });
 }
 
-/// A number without a text beside it, named for those who do not see it.
-fn named(ui: &mut Ui, name: &str, value: DragValue) {
-    let response = ui.add(value);
+/// A number without a text beside it, named for those who do not see it; by how much a point of dragging moves it, and its
+/// decimals. What is outside the range stays until it is edited.
+fn named(ui: &mut Ui, name: &str, value: &mut f32, (speed, decimals): (f64, usize), range: RangeInclusive<f32>) {
+    let before = *value;
+    let widget = DragValue::new(value).speed(speed).max_decimals(decimals).range(range).clamp_existing_to_range(false);
+    let response = ui.add(widget);
     response.widget_info(|| WidgetInfo::labeled(WidgetType::DragValue, true, name));
+    // The text is rounded: whoever only passes through it changes nothing.
+    if (*value - before).abs() < 0.5 * 0.1_f32.powi(decimals as i32) {
+        *value = before;
+    }
 }
 
 /// One of a few values.

@@ -168,4 +168,9 @@ fn markers_are_where_probes_and_spheres_are() {
     let count = spheres.iter().filter(|pixel| pixel[3] > 0.0).count();
     assert!((40..=60).contains(&count), "{count}");
     assert!(rms(&plain, &shown(SmokeDebugView::None)) < 1e-6, "and they go");
+    shown(SmokeDebugView::Spheres);
+    app.app.world_mut().entity_mut(volume).remove::<SmokeDebugView>();
+    app.app.update();
+    app.app.update();
+    assert!(rms(&plain, &app.float_pixels()) < 1e-6, "with the last view, too");
 }

@@ -421,11 +421,19 @@ fn a_saved_scene_comes_back() {
     let light = PointLight { intensity: 12.0, color: Color::linear_rgb(1.0, 0.5, 0.25), ..default() };
     let place = Transform::from_xyz(1.0, 0.5, 0.25);
     let smoke_camera = camera(&made);
-    made.app.world_mut().spawn((SmokeVolume::new(animation), components.clone(), Name::new("chimney")));
-    made.app.world_mut().spawn((light, place));
+    made.app.world_mut().spawn((SmokeVolume::new(animation.clone()), components.clone(), Name::new("chimney")));
+    // A child has its place in the world.
+    let parent = Transform::from_xyz(0.5, 0.0, -1.0);
+    let world = made.app.world_mut();
+    let child = world.spawn((light, place.with_translation(place.translation - parent.translation))).id();
+    world.spawn((parent, Visibility::default())).add_child(child);
+    let (constellation, hidden) = (SmokeConstellation { lights: 24, ..default() }, Visibility::Hidden);
+    world.spawn((SmokeVolume::new(animation.clone()), constellation, hidden));
     made.app.world_mut().spawn(smoke_camera);
     let before = crate::scene::draw(&mut made);
     scene::save_scene(made.app.world(), &folder.path().join("smoke.scn.ron")).unwrap();
+    let refused = scene::save_scene(made.app.world(), &folder.path().join("smoke.txt")).unwrap_err();
+    assert!(refused.to_string().contains(".scn.ron"), "{refused}");
 
     let mut loaded = new();
     let root = loaded.app.world().resource::<AssetServer>().load("smoke.scn.ron");
@@ -445,7 +453,8 @@ fn a_saved_scene_comes_back() {
         &Transform,
         Option<&Name>,
     )>();
-    let (volume, medium, environment, scattering, quality, playback, transform, name) = volumes.single(world).unwrap();
+    let (volume, medium, environment, scattering, quality, playback, transform, name) =
+        volumes.iter(world).find(|found| found.7.is_some()).unwrap();
     assert_eq!(volume.animation().unwrap().path().unwrap().to_string(), "billow.smoke");
     let back = (*medium, environment.clone(), *scattering, *quality, playback.clone(), *transform);
     let name = name.map(Name::to_string);
@@ -453,6 +462,8 @@ fn a_saved_scene_comes_back() {
     let mut lights = world.query::<(&PointLight, &Transform)>();
     let (lamp, at) = lights.single(world).unwrap();
     assert_eq!((lamp.intensity, lamp.color.to_linear(), *at), (light.intensity, light.color.to_linear(), place));
+    let mut constellations = world.query::<(&SmokeConstellation, &Visibility)>();
+    assert_eq!(constellations.single(world).unwrap(), (&constellation, &hidden));
     assert!(rms(&before, &after) < 1e-6, "the same picture");
     assert_eq!(name.as_deref(), Some("chimney"));
 }
