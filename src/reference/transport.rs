@@ -108,7 +108,7 @@ pub fn source_radiance(
     source_radiance_of_order(incident, gathered, surroundings, medium, BANDS)
 }
 
-/// The same of which only so many bands are kept.
+/// The same where only so many bands of light that has scattered before are kept.
 pub fn source_radiance_of_order(
     incident: &[[Incident; PROBES]],
     gathered: &[ShRgb],
@@ -116,15 +116,16 @@ pub fn source_radiance_of_order(
     medium: &Medium,
     order: usize,
 ) -> Vec<[ShRgb; PROBES]> {
-    let factors = kept(henyey_greenstein_factors(medium.g), order);
+    let factors = henyey_greenstein_factors(medium.g);
+    let bands = kept([1.0; BANDS], order);
     let rbf = |((probes, gathered), surroundings): ((&[Incident; PROBES], &ShRgb), &Sh<f64>)| {
-        let light = |probe: &Incident| probe.light + scattered_before(probe, gathered, surroundings);
+        let light = |probe: &Incident| probe.light + scattered_before(probe, gathered, surroundings).convolve(&bands);
         probes.map(|probe| scatter(&light(&probe), medium.albedo, &factors))
     };
     incident.iter().zip(gathered).zip(surroundings).map(rbf).collect()
 }
 
-/// The factors of the bands that are kept; the others are lost at every event.
+/// The factors of the bands that are kept; the others are 0.
 fn kept(mut factors: [f64; BANDS], order: usize) -> [f64; BANDS] {
     factors[order..].fill(0.0);
     factors

@@ -72,15 +72,17 @@ impl LightingUniform {
         }
     }
 
-    /// Leaves out the probes and bands of spherical harmonics that a model does without, and the bands that the medium does
-    /// not scatter; `diffusion`, as a solver, needs two.
+    /// Leaves out the probes that a model does without, and its bands of light that scatters more than once, which cost by
+    /// their square; and the bands that the medium does not scatter, of which `diffusion`, as a solver, needs two.
     pub fn reduced(self, model: &SmokeModel, diffusion: bool) -> Self {
-        let order = if self.g == 0.0 { 1 } else { model.order };
-        let light_order = if diffusion { order.max(2) } else { order };
         Self {
             probes: model.probes,
-            coefficients: self.coefficients.min(order * order),
-            light_coefficients: light_order * light_order,
+            coefficients: self.coefficients.min(model.order * model.order),
+            light_coefficients: match (self.g == 0.0, diffusion) {
+                (false, _) => 16,
+                (true, true) => 4,
+                (true, false) => 1,
+            },
             ..self
         }
     }
@@ -117,7 +119,7 @@ mod tests {
             (lighting.coefficients, lighting.light_coefficients)
         };
         assert_eq!(kept(0.4, 4, false), (16, 16));
-        assert_eq!(kept(0.4, 2, false), (4, 4));
+        assert_eq!(kept(0.4, 2, false), (4, 16));
         assert_eq!(kept(0.0, 4, false), (1, 1));
         assert_eq!(kept(0.0, 4, true), (0, 4));
     }

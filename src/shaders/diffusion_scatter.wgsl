@@ -16,7 +16,7 @@
 @compute @workgroup_size(64)
 fn scatter(@builtin(global_invocation_id) id: vec3<u32>) {
     let probe = id.x;
-    if probe >= frame.rbf_count * lighting.probes {
+    if probe >= frame.rbf_count * PROBES || probe % PROBES >= lighting.probes {
         return;
     }
     let rbf = rbfs[probe / PROBES];

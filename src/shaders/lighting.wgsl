@@ -46,7 +46,7 @@ struct Lighting {
     softening: f32,
     // Probes that each RBF looks from: PROBES, or 1, its centre.
     probes: u32,
-    // Coefficients kept of light at the probes: 1, 4, 9 or 16.
+    // Coefficients kept of light at the probes: 1, 4 or 16.
     light_coefficients: u32,
     lamps: array<Lamp, 8>,
 }

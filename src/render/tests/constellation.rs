@@ -219,10 +219,11 @@ fn the_mask_matches_its_twin() {
         gpu.run(pass, job);
         let bytes = read_texture(gpu.device(), gpu.queue(), texture.texture());
         let found: Vec<u32> = bytes.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b)).collect();
-        // A sample within rounding of the end of some smoke may be on either side of it.
-        let others = found.iter().zip(&expected).filter(|(found, expected)| found != expected).count();
-        println!("mask, skip {skip_empty}: {others} of {hits} differ");
-        assert!(others <= 3, "skip {skip_empty}: {others} of {hits} pixels differ");
+        // A sample within rounding of the end of some smoke may be on either side of it, and a GPU's filter rounds weights to
+        // 1/256: more of them are off, by one sample.
+        let off = |least| found.iter().zip(&expected).filter(|(a, b)| a.abs_diff(**b) >= least).count();
+        println!("mask, skip {skip_empty}: {} of {hits} differ, {} by more than a sample", off(1), off(2));
+        assert!(off(1) <= 6 && off(2) <= 3, "skip {skip_empty}: {} of {hits} pixels differ, {} far", off(1), off(2));
     }
 }
 

@@ -65,6 +65,8 @@ const MAX_DENSITY: f32 = 2.0;
 const EXACT: f64 = 2e-5;
 /// Bound for passes that read or write f16 textures.
 const HALF: f64 = 1e-3;
+/// Bound for passes that march far through filtered textures: a GPU weighs texels in steps of 1/256, and may in steps of 1/16.
+const FILTERED: f64 = 4e-3;
 
 /// What stands around the smoke, on the GPU.
 struct Around {
