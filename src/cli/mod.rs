@@ -7,6 +7,7 @@ pub mod chart;
 pub mod compare;
 pub mod constellation;
 pub mod exr_io;
+mod frame_timer;
 pub mod frames;
 pub mod info;
 mod input;

@@ -65,36 +65,67 @@ struct Stats {
     seconds: f64,
 }
 
+/// What is traced: a scene and its density where the box has its longest side 1 and its centre in the origin.
+pub(super) struct Stage<'a> {
+    scene: &'a Scene,
+    density: &'a Grid,
+    center: DVec3,
+    side: f64,
+    image: Option<EquirectImage>,
+    lobes: Box<dyn Fn(DVec3) -> DVec3 + Sync + 'a>,
+    lights: Vec<Light>,
+}
+
+impl<'a> Stage<'a> {
+    /// Reads what the scene names; refuses smoke so dense that paths in it do not end.
+    pub fn new(scene: &'a Scene, density: &'a Grid, placement: Placement) -> anyhow::Result<Self> {
+        let (center, side) = scene.placement.center_and_side(density.shape, placement);
+        let image = match &scene.environment {
+            Environment::Equirect(path) => {
+                let ([width, _], texels) = read_equirect(path)?;
+                Some(EquirectImage::new(width as usize, texels.into_iter().map(Vec3::from).collect()))
+            }
+            Environment::Lobes { .. } => None,
+        };
+        let deepest = scene.sigma_t * side * density.values.iter().copied().fold(0.0, f64::max);
+        ensure!(
+            deepest <= MAX_DEPTH,
+            "sigma_t {}: the densest smoke has an optical depth of {deepest:.1e} over the box's length, where paths do not \
+             end; {MAX_DEPTH:.0e} is the most that can be traced",
+            scene.sigma_t
+        );
+        let lobes = Box::new(|w| scene.environment.radiance(w).unwrap_or_default());
+        let lights = scene.lights.iter().map(|light| in_bundle_space(light, center, side)).collect();
+        Ok(Self { scene, density, center, side, image, lobes, lights })
+    }
+
+    /// The scene as the path tracer takes it.
+    pub fn scene(&self) -> path::Scene<'_> {
+        let Self { scene, center, side, .. } = self;
+        let environment = match &self.image {
+            Some(image) => path::Environment::Image(image),
+            None => path::Environment::Function(&*self.lobes),
+        };
+        let medium = Medium { sigma: scene.sigma_t * side, albedo: scene.albedo, g: scene.g };
+        let surfaces = surfaces_in_bundle_space(scene, *center, *side);
+        path::Scene::new(self.density, medium, environment, &self.lights).with_surfaces(surfaces)
+    }
+
+    /// The camera's ray through a point of a picture of such a size.
+    pub fn ray(&self, size: [u32; 2], x: f64, y: f64) -> Ray {
+        Ray::new((self.scene.camera.eye - self.center) / self.side, self.scene.camera.direction(size, x, y))
+    }
+}
+
 /// Traces a picture.
 pub(super) fn run(job: &Job) -> anyhow::Result<()> {
     let Job { args, scene, size, spp, .. } = job;
     let (size, spp) = (*size, *spp);
     let (density, placement) = read_density(&args.input, args.frame)?;
     let shape = density.shape;
-    let (center, side) = scene.placement.center_and_side(shape, placement);
-
-    let image = match &scene.environment {
-        Environment::Equirect(path) => {
-            let ([width, _], texels) = read_equirect(path)?;
-            Some(EquirectImage::new(width as usize, texels.into_iter().map(Vec3::from).collect()))
-        }
-        Environment::Lobes { .. } => None,
-    };
-    let lobes = |w| scene.environment.radiance(w).unwrap_or_default();
-    let environment = image.as_ref().map_or(path::Environment::Function(&lobes), path::Environment::Image);
-    let lights: Vec<Light> = scene.lights.iter().map(|light| in_bundle_space(light, center, side)).collect();
-    let deepest = scene.sigma_t * side * density.values.iter().copied().fold(0.0, f64::max);
-    ensure!(
-        deepest <= MAX_DEPTH,
-        "sigma_t {}: the densest smoke has an optical depth of {deepest:.1e} over the box's length, where paths do not \
-         end; {MAX_DEPTH:.0e} is the most that can be traced",
-        scene.sigma_t
-    );
-    let medium = Medium { sigma: scene.sigma_t * side, albedo: scene.albedo, g: scene.g };
-    let surfaces = surfaces_in_bundle_space(scene, center, side);
-    let smoke = path::Scene::new(&density, medium, environment, &lights).with_surfaces(surfaces);
-    let eye = (scene.camera.eye - center) / side;
-    let camera = |x, y| Ray::new(eye, scene.camera.direction(size, x, y));
+    let stage = Stage::new(scene, &density, placement)?;
+    let smoke = stage.scene();
+    let camera = |x, y| stage.ray(size, x, y);
     let asked = job.args.scattering;
     let (used, why) = match asked {
         Scattering::Auto => (Scattering::Multiple, "a path tracer needs to leave nothing out"),

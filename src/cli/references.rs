@@ -22,6 +22,20 @@ pub(super) fn folder(given: Option<&Path>) -> anyhow::Result<&Path> {
     Ok(folder)
 }
 
+/// The scenes of a folder, by name.
+pub(super) fn names(folder: &Path) -> anyhow::Result<Vec<String>> {
+    let entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
+    let mut names = Vec::new();
+    for entry in entries {
+        let path = entry?.path();
+        if path.extension().is_some_and(|extension| extension == "json") {
+            names.extend(path.file_stem().map(|stem| stem.to_string_lossy().into_owned()));
+        }
+    }
+    names.sort();
+    Ok(names)
+}
+
 /// A scene with its true pictures.
 pub(super) struct Reference {
     pub name: String,
@@ -46,6 +60,11 @@ impl Reference {
         for warning in warnings {
             eprintln!("warning: {}: {warning}", file.display());
         }
+        ensure!(
+            !scene.has_surfaces(),
+            "{}: it has a plane or spheres, which are not drawn here: leave it out",
+            file.display()
+        );
         let density = scene.density.clone().with_context(|| format!("{}: it names no density", file.display()))?;
         let size = scene.camera.size.map(|side| side as usize);
         let image = |picture: &str| {
@@ -84,9 +103,9 @@ impl Reference {
         }
     }
 
-    /// The error of a picture, given as two independent halves, or one twice.
-    pub fn error(&self, picture: [&[[f32; 3]]; 2], events: Events) -> anyhow::Result<f64> {
+    /// The error of a picture, its own noise and all, but without that of the reference.
+    pub fn error(&self, picture: &[[f32; 3]], events: Events) -> anyhow::Result<f64> {
         let [a, b] = self.halves(events);
-        Ok(image_error(picture, [a, b], &self.alpha)?.relative)
+        Ok(image_error([picture, picture], [a, b], &self.alpha)?.relative)
     }
 }

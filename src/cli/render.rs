@@ -508,7 +508,7 @@ pub(super) fn turn_light(world: &mut World, volume: Entity, angle: f64) {
 }
 
 /// Spawns a light as Bevy's own, in units of `unit`.
-pub(super) fn spawn_light(world: &mut World, light: &SceneLight, unit: f32) {
+pub(super) fn spawn_light(world: &mut World, light: &SceneLight, unit: f32) -> Entity {
     // A colour of which the largest channel is 1, and that channel.
     let split = |rgb: DVec3| {
         let rgb = rgb.as_vec3() / unit;
@@ -526,18 +526,18 @@ pub(super) fn spawn_light(world: &mut World, light: &SceneLight, unit: f32) {
     match *light {
         SceneLight::Sun { direction, irradiance, .. } => {
             let (color, illuminance) = split(irradiance);
-            world.spawn((DirectionalLight { color, illuminance, ..default() }, along(DVec3::ZERO, -direction)));
+            world.spawn((DirectionalLight { color, illuminance, ..default() }, along(DVec3::ZERO, -direction))).id()
         }
         SceneLight::Point { position, intensity } => {
             let (color, candela) = split(intensity);
             let light = PointLight { color, intensity: candela * sphere, range, ..default() };
-            world.spawn((light, Transform::from_translation(position.as_vec3())));
+            world.spawn((light, Transform::from_translation(position.as_vec3()))).id()
         }
         SceneLight::Spot { position, direction, intensity, inner_deg, outer_deg } => {
             let (color, candela) = split(intensity);
             let [inner_angle, outer_angle] = [inner_deg, outer_deg].map(|deg| deg.to_radians() as f32);
             let light = SpotLight { color, intensity: candela * sphere, range, inner_angle, outer_angle, ..default() };
-            world.spawn((light, along(position, direction)));
+            world.spawn((light, along(position, direction))).id()
         }
     }
 }

@@ -4,13 +4,13 @@
 //! `RenderDiagnosticsPlugin` measures the passes, predicted times follow the GPU at hand.
 
 mod choice;
-mod coefficients;
+pub(crate) mod coefficients;
 pub mod model;
 
 use bevy::prelude::*;
 
 pub use choice::QualityChoice;
-pub(crate) use choice::{Pace, SteadyChoice};
+pub(crate) use choice::{Machine, SteadyChoice};
 pub(crate) use model::{Milliseconds, Setting};
 
 /// How much is computed for a volume of smoke; beside every [`SmokeVolume`](crate::volume::SmokeVolume).
@@ -50,6 +50,7 @@ impl Default for SmokeQuality {
 /// The smoke's density is always drawn in full; what is left out is left out of its light. Values outside their range
 /// are drawn as the nearest inside it, and a warning names them once.
 #[derive(Clone, Copy, Debug, PartialEq, Reflect)]
+#[cfg_attr(feature = "bake", derive(serde::Serialize, serde::Deserialize))]
 #[reflect(Default, Debug, Clone, PartialEq)]
 pub struct SmokeModel {
     /// RBFs that light is computed at, at most; 1 or more. Where smoke has been baked with more, so many stand for all
@@ -58,8 +59,8 @@ pub struct SmokeModel {
     pub rbfs: u32,
     /// Probes of each RBF: 7, or 1, at its centre alone.
     pub probes: u32,
-    /// Bands of spherical harmonics of light that has scattered, 1 to 4. Smoke that scatters evenly (g = 0) needs one, and
-    /// is given no more.
+    /// Bands of spherical harmonics of light that has scattered more than once, 1 to 4; that has scattered once has four.
+    /// Time of `scattering` rises with their square. Smoke that scatters evenly (g = 0) needs one, and is given no more.
     pub order: u32,
     /// Directions in which a probe looks for light: 16, 32 or 64.
     pub directions: u32,

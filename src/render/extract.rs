@@ -212,10 +212,12 @@ pub(super) fn extract_smoke(
         if clamped != *medium {
             warn_once!("{medium:?} of smoke volume {entity} is out of range: it is drawn as {clamped:?} (said once)");
         }
-        let asked = *quality;
-        let quality = asked.clamped();
-        if quality != asked {
-            warn_once!("{asked:?} of smoke volume {entity} is out of range: it is drawn with {quality:?} (said once)");
+        let asked_quality = *quality;
+        let quality = asked_quality.clamped();
+        if quality != asked_quality {
+            warn_once!(
+                "{asked_quality:?} of smoke volume {entity} is out of range: it is drawn with {quality:?} (said once)"
+            );
         }
         let extracted = ExtractedVolume {
             content,
@@ -225,11 +227,18 @@ pub(super) fn extract_smoke(
             scattering: debug.scattering(*scattering),
             debug,
             quality,
-            constellation: constellations
-                .get(entity)
-                .ok()
-                .filter(|_| debug.is_of_picture())
-                .map(SmokeConstellation::clamped),
+            constellation: constellations.get(entity).ok().filter(|_| debug.is_of_picture()).map(|asked| {
+                let drawn = asked.clamped();
+                if drawn != *asked {
+                    warn_once!("{asked:?} of smoke volume {entity} is out of range: drawn with {drawn:?} (said once)");
+                }
+                if asked_quality != default() {
+                    warn_once!(
+                        "smoke volume {entity} has SmokeConstellation, which SmokeQuality is not for (said once)"
+                    );
+                }
+                drawn
+            }),
             #[cfg(feature = "reference")]
             paper: papers.get(entity).ok().copied(),
             layers: layers.cloned().unwrap_or_default(),

@@ -101,13 +101,15 @@ impl ViewHalfResolution {
         cache: &PipelineCache,
         ctx: &mut RenderContext,
     ) -> u32 {
-        let attachment = |view| {
-            let ops = Operations { load: LoadOp::Clear(default()), store: StoreOp::Store };
+        let attachment = |view, value: f64| {
+            // No mesh is as deep as what nothing has been drawn to.
+            let clear = wgpu::Color { r: value, g: value, b: value, a: value };
+            let ops = Operations { load: LoadOp::Clear(clear), store: StoreOp::Store };
             Some(RenderPassColorAttachment { view, depth_slice: None, resolve_target: None, ops })
         };
         let mut pass = ctx.begin_tracked_render_pass(RenderPassDescriptor {
             label: Some("smoke_view_half"),
-            color_attachments: &[attachment(&self.color), attachment(&self.depth)],
+            color_attachments: &[attachment(&self.color, 0.0), attachment(&self.depth, 1e9)],
             depth_stencil_attachment: None,
             timestamp_writes: None,
             occlusion_query_set: None,

@@ -47,6 +47,8 @@ pub(super) struct LitVolume {
     /// What it was lit with.
     effort: Effort,
     uniform: Cached<LightingUniform>,
+    /// The radiance that 1 stands for in it.
+    unit: f32,
     light: LightBuffers,
     incident_light: BindGroup,
     around: AroundBuffers,
@@ -176,6 +178,11 @@ impl<T: ShaderType + WriteInto + Clone + PartialEq> Cached<T> {
         Self { value, buffer }
     }
 
+    /// Whether it is another value.
+    pub fn differs(&self, value: &T) -> bool {
+        self.value != *value
+    }
+
     /// Stores a value; whether it is another than before.
     pub fn set(&mut self, value: T, gpu: &Gpu) -> bool {
         if self.value == value {
@@ -202,6 +209,8 @@ pub(super) struct FrameLight<'a> {
     pub coefficients: &'a Buffer,
     pub environment_version: u32,
     pub uniform: LightingUniform,
+    /// The radiance that 1 stands for in it.
+    pub unit: f32,
     pub surroundings: &'a Surroundings,
     /// The densities of all casters.
     pub densities: &'a TextureView,
@@ -256,6 +265,7 @@ impl LitVolume {
             environment_version: 0,
             effort: Effort::default(),
             uniform,
+            unit: light.unit,
             light: buffers,
             around,
             surroundings_version: light.surroundings.version,
@@ -309,7 +319,8 @@ impl LitVolume {
         let effort = Effort::new(&light);
         let moved = self.frame_version != frame.version;
         self.frame_version = frame.version;
-        let mut changed = self.uniform.set(light.uniform, gpu)
+        let mut changed = self.uniform.differs(&light.uniform)
+            | (self.unit != light.unit)
             | moved
             | self.is_pending
             | (self.effort != effort)
@@ -317,6 +328,8 @@ impl LitVolume {
             | (self.environment_version != light.environment_version);
         #[cfg(feature = "reference")]
         if let (Some(paper), Some(settings)) = (&mut self.paper, light.paper) {
+            self.uniform.set(light.uniform, gpu);
+            self.unit = light.unit;
             changed |= paper.set(settings, light.choice.multiple, environment_from_bundle, gpu);
             if changed {
                 self.environment_version = light.environment_version;
@@ -356,6 +369,9 @@ impl LitVolume {
             self.version += u32::from(moved);
             return;
         }
+        // Until then, nothing that light is computed from changes.
+        self.uniform.set(light.uniform, gpu);
+        self.unit = light.unit;
         if changed {
             self.environment_version = light.environment_version;
             self.surroundings_version = light.surroundings.version;
@@ -383,6 +399,11 @@ impl LitVolume {
                 work.diffusion.push(DiffusionJob { bind_groups, rbf_count: frame.rbf_count });
             }
         }
+    }
+
+    /// What it has been lit by, and the radiance that 1 stands for.
+    pub fn lit_by(&self) -> (&LightingUniform, f32) {
+        (self.uniform.value(), self.unit)
     }
 
     /// The 3D texture for a view, or for all.

@@ -75,6 +75,8 @@ struct LiveFrame {
     lattice: Vec<(lattice::Step, Job)>,
     /// Whether the texture is not what was copied last.
     stale: bool,
+    /// The frame in which it was copied last.
+    copied_at: u32,
     last_used: u32,
 }
 
@@ -107,18 +109,23 @@ impl LiveFrames {
             return None;
         }
         self.refused.remove(&volume);
-        let (source, now) = (image.texture_view.id(), self.now);
+        let (source, now, key) = (image.texture_view.id(), self.now, live.key());
+        if !self.frames.contains_key(&key) {
+            // A density that is bounded anew every frame does not pile up.
+            let is_another = |other: &LiveKey| (other.image, other.lattice) != (key.image, key.lattice);
+            self.frames.retain(|other, frame| is_another(other) || now.wrapping_sub(frame.last_used) <= 1);
+        }
         let live_frame = self
             .frames
-            .entry(live.key())
+            .entry(key)
             .and_modify(|before| {
                 if before.source != source {
                     *before = LiveFrame::new(live, image, shape, gpu);
                 }
             })
             .or_insert_with(|| LiveFrame::new(live, image, shape, gpu));
-        if live_frame.stale || live.changes && live_frame.last_used != now {
-            live_frame.stale = false;
+        if live_frame.stale || live.changes && live_frame.copied_at != now {
+            (live_frame.stale, live_frame.copied_at) = (false, now);
             live_frame.frame.version += 1;
             work.live.push(live_frame.copy.clone());
             work.coarse.push(live_frame.coarse.clone());
@@ -167,6 +174,7 @@ impl LiveFrame {
             lattice: lattice::jobs(&passes.lattice, &frame, live.lattice, device, queue, cache),
             frame,
             stale: true,
+            copied_at: 0,
             last_used: 0,
         }
     }

@@ -111,6 +111,23 @@ impl Placed {
         (uniform, unit)
     }
 
+    /// Whether light that scatters more than once is wanted, whatever the adapter can hold.
+    pub fn scatters_again(&self, volume: &ExtractedVolume, frame: &GpuSmokeFrame) -> bool {
+        self.scattering(volume, frame, volume.scattering.events, None).multiple
+    }
+
+    fn scattering(
+        &self,
+        volume: &ExtractedVolume,
+        frame: &GpuSmokeFrame,
+        events: ScatteringEvents,
+        before: Option<bool>,
+    ) -> ScatteringChoice {
+        let albedo = volume.medium.albedo;
+        let albedo = albedo.red.max(albedo.green).max(albedo.blue);
+        ScatteringChoice::new(events, albedo, frame.chance_to_meet_again(self.sigma(volume)), before)
+    }
+
     /// Whether light that scatters more than once is drawn.
     pub fn choose_scattering(
         &self,
@@ -119,9 +136,6 @@ impl Placed {
         before: Option<bool>,
         device: &RenderDevice,
     ) -> ScatteringChoice {
-        let albedo = volume.medium.albedo;
-        let albedo = albedo.red.max(albedo.green).max(albedo.blue);
-        let chance = frame.chance_to_meet_again(self.sigma(volume));
         let mut events = volume.scattering.events;
         let limits = device.limits();
         let largest = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
@@ -136,7 +150,7 @@ impl Placed {
             );
             events = ScatteringEvents::Single;
         }
-        ScatteringChoice::new(events, albedo, chance, before)
+        self.scattering(volume, frame, events, before)
     }
 
     /// Extinction a bundle unit where the filtered density textures hold 1; bounded, so that products with it stay finite.

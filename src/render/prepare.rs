@@ -18,7 +18,7 @@ use bevy::render::render_asset::{ExtractedAssets, RenderAssets};
 use bevy::render::render_resource::{
     AddressMode, Buffer, FilterMode, PipelineCache, Sampler, SamplerDescriptor, TextureView,
 };
-use bevy::render::renderer::{RenderDevice, RenderQueue};
+use bevy::render::renderer::{RenderAdapterInfo, RenderDevice, RenderQueue};
 use bevy::render::sync_world::MainEntity;
 use bevy::render::texture::GpuImage;
 use bevy::render::view::{ExtractedView, RenderVisibleEntities};
@@ -155,7 +155,7 @@ pub(super) fn prepare_smoke(
     views: Query<(Entity, &ExtractedView, &ExtractedCamera, &RenderVisibleEntities), With<Camera3d>>,
     projections: Query<(Option<&TemporalJitter>, Option<&MainPassResolutionOverride>), With<Camera3d>>,
     targets: Query<(&Msaa, Has<MainPassResolutionOverride>, Has<ViewSlabs>), With<Camera3d>>,
-    device: Res<RenderDevice>,
+    (device, adapter): (Res<RenderDevice>, Res<RenderAdapterInfo>),
     queue: Res<RenderQueue>,
     pipelines: Res<PipelineCache>,
     changed_images: Res<ExtractedAssets<GpuImage>>,
@@ -240,11 +240,14 @@ pub(super) fn prepare_smoke(
             let Some(frame) = frames.show(entity, volume, &images, &gpu, &mut work) else { continue };
             let Some(placed) = Placed::new(entity, volume, frame.shape) else { continue };
             let Some(coverage) = placed.coverage(view) else { continue };
-            let multiple = placed.choose_scattering(volume, frame, None, &device).multiple;
+            let multiple = placed.scatters_again(volume, frame);
             qualities.see(entity, (volume, &placed, frame), multiple, &coverage, can_halve);
         }
     }
-    qualities.choose(|entity| &smoke.volumes[&entity], smoke.measured, &stats);
+    // The passes' times are those of one view at a time, and a constellation's among them.
+    let seeing = views.iter().filter(|(.., visible)| volumes_in(visible).next().is_some()).count();
+    let is_comparable = seeing == 1 && smoke.volumes.values().all(|volume| volume.constellation.is_none());
+    qualities.choose(|entity| &smoke.volumes[&entity], smoke.measured.filter(|_| is_comparable), &adapter, &stats);
 
     for (view_entity, view, camera, visible) in &views {
         let mut drawn = Vec::new();
@@ -313,17 +316,20 @@ pub(super) fn prepare_smoke(
             );
             let surroundings = surroundings.entry(key).or_insert_with(|| Surroundings::new(&gpu));
             surroundings.set(around, &gpu);
-            let glows = Glow::all(&uniform, placed.shape.half_extent());
             let densities = casters.densities().unwrap_or(&shared.nothing);
             let eye = placed.eye(view);
-            let seen = |glows| {
+            let seen = |unit: f32, glows| {
                 placed.smoke_uniform(view, clip_from_view, eye, (volume, &model), unit * camera.exposure, glows)
             };
             let (distance, depths) = (placed.distance(view), placed.depths(view));
             if let Some(settings) = volume.constellation {
                 // Where smoke shines by itself no lamps do.
-                let glows = if settings.shading == ConstellationShading::Alpha { default() } else { glows };
-                let Some(uniform_of_view) = seen(glows).filter(|_| constellation_passes.are_ready(&pipelines)) else {
+                let glows = match settings.shading {
+                    ConstellationShading::Alpha => default(),
+                    _ => Glow::all(&uniform, placed.shape.half_extent()),
+                };
+                let Some(uniform_of_view) = seen(unit, glows).filter(|_| constellation_passes.are_ready(&pipelines))
+                else {
                     continue;
                 };
                 let view = constellation::View {
@@ -350,6 +356,7 @@ pub(super) fn prepare_smoke(
                 coefficients: lit.coefficients,
                 environment_version: lit.version,
                 uniform,
+                unit,
                 surroundings,
                 densities,
                 choice,
@@ -376,8 +383,11 @@ pub(super) fn prepare_smoke(
             let isotropic = volume.medium.g == 0.0;
             let (key, look) =
                 if isotropic { (None, Vec4::Z.with_w(0.0)) } else { (Some(view.retained_view_entity), eye) };
+            // What waits to be lit again shows as it was lit.
+            let (lighting, unit) = lit_volume.lit_by();
+            let glows = Glow::all(lighting, placed.shape.half_extent());
             let sliced = lit_volume.slice(key, look, frame, *now, &gpu, &mut work);
-            if let Some(uniform) = seen(glows).map(|uniform| debug::adapt(uniform, volume.debug)) {
+            if let Some(uniform) = seen(unit, glows).map(|uniform| debug::adapt(uniform, volume.debug)) {
                 let bind_group = sliced.see(view.retained_view_entity, uniform, *now, &gpu);
                 let half_resolution = model.half_resolution && emission == Emission::Exact;
                 drawn.push(ViewSmokeVolume { distance, depths, emission, half_resolution, bind_group, draws: 1 });
@@ -392,7 +402,8 @@ pub(super) fn prepare_smoke(
             components.insert(ViewSmoke(drawn));
         }
 
-        let shading = ShadedBy::of_view(view, &smoke, casters).and_then(|shaded_by| {
+        let shaded_by = if sees_meshes(visible) { ShadedBy::of_view(view, &smoke, casters) } else { None };
+        let shading = shaded_by.and_then(|shaded_by| {
             let light = Light::of_view(view, &smoke)?;
             let lit = environments.light(light, &images, &smoke.suns, &gpu, &mut work)?;
             Some(shading.shade(view, shaded_by, &lit, &smoke, casters, *now, &gpu, &mut work))
@@ -411,10 +422,11 @@ pub(super) fn prepare_smoke(
     frames.live.retain(in_use, exists);
     stats.set_memory(frames.memory());
     levels.retain(in_use);
-    qualities.retain(exists);
-    stats.retain_volumes(|entity| smoke.volumes.contains_key(&MainEntity::from(entity)));
+    let is_chosen = |volume| smoke.volumes.get(&volume).is_some_and(|volume| volume.constellation.is_none());
+    qualities.retain(is_chosen);
+    stats.retain_volumes(exists, is_chosen);
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
-    constellations.retain(in_use);
+    constellations.retain(*now, in_use);
     surroundings.retain(|key, _| volumes.contains_key(key) || constellations.has(key));
     for volume in volumes.values_mut() {
         volume.sliced.retain(|_, sliced| in_use(sliced.last_used));
@@ -425,9 +437,15 @@ pub(super) fn prepare_smoke(
 }
 
 /// The volumes that a view sees.
-fn volumes_in(visible: &RenderVisibleEntities) -> impl Iterator<Item = &MainEntity> {
+pub(super) fn volumes_in(visible: &RenderVisibleEntities) -> impl Iterator<Item = &MainEntity> {
     let class = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
     class.iter().map(|(_, volume)| volume)
+}
+
+/// Whether a view has meshes that something could shade.
+fn sees_meshes(visible: &RenderVisibleEntities) -> bool {
+    let class = visible.get::<Mesh3d>();
+    class.is_some_and(|class| !class.entities_cpu_culling.is_empty() || !class.entities_gpu_culling.is_empty())
 }
 
 /// The projection that a view's meshes are drawn with: moved by a part of a pixel under temporal anti-aliasing.

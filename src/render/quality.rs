@@ -1,8 +1,11 @@
 //! Which model each volume is drawn with in this frame, and why.
 
-use bevy::diagnostic::{Diagnostic, DiagnosticPath, DiagnosticsStore};
+use core::time::Duration;
+
+use bevy::diagnostic::{DiagnosticPath, DiagnosticsStore};
 use bevy::platform::collections::HashMap;
 use bevy::prelude::*;
+use bevy::render::renderer::RenderAdapterInfo;
 use bevy::render::sync_world::MainEntity;
 
 use super::SmokeRenderStats;
@@ -10,7 +13,10 @@ use super::extract::{Content, ExtractedVolume};
 use super::frame::GpuSmokeFrame;
 use super::placed::{Coverage, Placed};
 use super::view::{self, Emission};
-use crate::quality::{Milliseconds, Pace, QualityChoice, Setting, SmokeModel, SteadyChoice};
+use crate::quality::{Machine, Milliseconds, QualityChoice, Setting, SmokeModel, SteadyChoice};
+
+/// What has been measured longer ago than this says nothing of the present.
+const RECENT: Duration = Duration::from_secs(1);
 
 /// The choices so far.
 #[derive(Default)]
@@ -18,8 +24,9 @@ pub(super) struct Qualities {
     choices: HashMap<MainEntity, SteadyChoice>,
     /// What the views of this frame make of each volume, and what of its light is known.
     settings: HashMap<MainEntity, Setting>,
-    pace: Pace,
-    /// Of the frames before, smoothed.
+    /// Known from the first frame on.
+    machine: Option<Machine>,
+    /// Of the frame before.
     predicted: Milliseconds,
 }
 
@@ -67,10 +74,12 @@ impl Qualities {
         &mut self,
         volume_of: impl Fn(MainEntity) -> &'a ExtractedVolume,
         measured: Option<f32>,
+        adapter: &RenderAdapterInfo,
         stats: &SmokeRenderStats,
     ) {
+        let machine = self.machine.get_or_insert_with(|| Machine::of(adapter.device_type));
         if let Some(measured) = measured {
-            self.pace = self.pace.toward(measured, self.predicted);
+            machine.follow(measured, self.predicted);
         }
         let mut predicted = Milliseconds::default();
         for (&entity, setting) in &self.settings {
@@ -78,10 +87,10 @@ impl Qualities {
             let choice = self
                 .choices
                 .entry(entity)
-                .and_modify(|choice| choice.update(asked, setting, &self.pace))
-                .or_insert_with(|| SteadyChoice::new(QualityChoice::best(asked, setting, &self.pace)));
+                .and_modify(|choice| choice.update(asked, setting, machine))
+                .or_insert_with(|| SteadyChoice::new(QualityChoice::best(asked, setting, machine)));
             stats.set_quality(entity, choice.current);
-            let work = setting.milliseconds(&choice.current.model);
+            let work = machine.price_of(setting, &choice.current.model);
             predicted.light += work.light;
             predicted.view += work.view;
         }
@@ -93,23 +102,22 @@ impl Qualities {
         self.choices.get(&entity).map_or(SmokeModel::FULL, |choice| choice.current.model)
     }
 
+    /// Lets go of volumes that are gone, or no longer drawn by choice.
     pub fn retain(&mut self, exists: impl Fn(MainEntity) -> bool) {
         self.choices.retain(|entity, _| exists(*entity));
     }
 }
 
-/// Milliseconds that the passes have taken of late, where `RenderDiagnosticsPlugin` measures.
+/// Milliseconds that the passes take of frames in which light is computed, where `RenderDiagnosticsPlugin` measures them;
+/// None while there are no such frames.
 pub(super) fn measured(diagnostics: &DiagnosticsStore) -> Option<f32> {
     let time = |name: &str| {
-        let path = DiagnosticPath::new(format!("render/{name}/elapsed_gpu"));
-        diagnostics.get(&path).and_then(Diagnostic::smoothed).map(|ms| ms as f32)
+        let diagnostic = diagnostics.get(&DiagnosticPath::new(format!("render/{name}/elapsed_gpu")))?;
+        let is_recent = diagnostic.measurement()?.time.elapsed() < RECENT;
+        diagnostic.smoothed().filter(|_| is_recent).map(|ms| ms as f32)
     };
-    let light = [
-        super::pair_matrix::LABEL,
-        super::incident_light::LABEL,
-        super::scattering::LABEL,
-        super::outgoing::LABEL,
-        super::volume::LABEL,
-    ];
-    Some(time(view::LABEL)? + light.into_iter().filter_map(time).sum::<f32>())
+    let always = [view::LABEL, super::incident_light::LABEL, super::outgoing::LABEL, super::volume::LABEL];
+    let sometimes = [super::pair_matrix::LABEL, super::scattering::LABEL, super::diffusion::LABEL];
+    let always: Option<f32> = always.into_iter().map(time).sum();
+    Some(always? + sometimes.into_iter().filter_map(time).sum::<f32>())
 }

@@ -32,8 +32,8 @@ use bevy::render::view::{ExtractedView, RenderVisibleEntities, ViewDepthTexture,
 use super::SmokeRenderStats;
 use super::extract::ExtractedSmoke;
 use super::placed::Placed;
+use super::prepare::volumes_in;
 use super::view::{ToneMappingTables, ViewSmoke, ViewSmokePipelines};
-use crate::volume::SmokeVolume;
 
 /// As in `view.wgsl`: the most slabs that a view's smoke is cut into; where more meshes are in it, several go between two slabs.
 pub(super) const MAX_SLABS: usize = 8;
@@ -164,10 +164,8 @@ fn depths_of_smoke(
     smoke: &ExtractedSmoke,
     images: &RenderAssets<GpuImage>,
 ) -> Option<Range<f32>> {
-    let volumes = visible.get::<SmokeVolume>().map_or(&[][..], |class| &class.entities_cpu_culling);
-    volumes
-        .iter()
-        .filter_map(|(_, volume)| {
+    volumes_in(visible)
+        .filter_map(|volume| {
             let extracted = smoke.volumes.get(volume)?;
             Some(Placed::new(*volume, extracted, extracted.content.shape(images)?)?.depths(view))
         })

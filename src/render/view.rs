@@ -423,17 +423,21 @@ pub(super) fn prepare_view_pipelines(
     >,
 ) {
     let wants_half = smoke.volumes.values().any(|volume| volume.may_draw_half());
+    // The other methods are never drawn at half resolution.
+    let is_whole = |key: ViewPassKey| key.resolution == Resolution::Full;
     let mut specialize = |key: ViewPassKey| Pipelines {
         exact: pipelines.specialize(&cache, &pass, key),
         #[cfg(feature = "reference")]
-        printed: smoke.volumes.values().any(|volume| volume.paper.is_some()).then(|| {
+        printed: (is_whole(key) && smoke.volumes.values().any(|volume| volume.paper.is_some())).then(|| {
             let key = ViewPassKey { emission: Emission::Printed, ..key };
             pipelines.specialize(&cache, &pass, key)
         }),
-        constellation: smoke.volumes.values().any(|volume| volume.constellation.is_some()).then(|| {
-            let key = ViewPassKey { emission: Emission::Constellation, ..key };
-            pipelines.specialize(&cache, &pass, key)
-        }),
+        constellation: (is_whole(key) && smoke.volumes.values().any(|volume| volume.constellation.is_some())).then(
+            || {
+                let key = ViewPassKey { emission: Emission::Constellation, ..key };
+                pipelines.specialize(&cache, &pass, key)
+            },
+        ),
         layout: key.view_layout(),
         key,
     };

@@ -10,7 +10,11 @@ use super::{Chart, Method, Panel, Point, Scattering};
 /// Pixels of a panel.
 const PANEL: (u32, u32) = (460, 380);
 /// Pixels of the title and the legend above.
-const HEAD: u32 = 74;
+const HEAD: u32 = 92;
+/// Pixels to the left of a panel's axis.
+const LEFT: i32 = 64;
+/// Pixels of a mark's name: its height, and the width of a letter on average.
+const NAME: (i32, i32) = (9, 5);
 
 /// Methods in the order of the legend, their names and colours.
 const METHODS: [(Method, &str, RGBColor); 7] = [
@@ -48,7 +52,9 @@ fn draw(chart: &Chart, text: &mut String) -> Result {
     let (head, body) = root.split_vertically(HEAD);
     let [width, height] = chart.size;
     let title = format!(
-        "Error against the time of a frame in which smoke moves and light turns: {width} × {height} pixels, {}",
+        "Error against the {}: {width} × {height} pixels, {}",
+        if chart.on_gpu { "GPU's time for" } else { "time of" }.to_string()
+            + " a frame in which smoke moves and light turns",
         chart.adapter
     );
     head.draw(&Text::new(title, (12, 10), ("sans-serif", 17)))?;
@@ -84,7 +90,7 @@ fn draw_panel(panel: &Panel, area: &Drawing) -> Result {
         .caption(format!("{}, {kind}", panel.scene), ("sans-serif", 16))
         .margin(8)
         .x_label_area_size(36)
-        .y_label_area_size(56)
+        .y_label_area_size(LEFT - 8)
         .build_cartesian_2d(errors.log_scale(), times.log_scale())?;
     let number = |value: &f64| format!("{}", (value * 1e6).round() / 1e6);
     chart
@@ -106,19 +112,60 @@ fn draw_panel(panel: &Panel, area: &Drawing) -> Result {
         steps.push((percent(point), point.ms));
     }
     chart.draw_series(LineSeries::new(steps, RGBColor(150, 190, 120).stroke_width(3)))?;
-    for point in &panel.points {
+    // Names of the front's points come first: there is not room for all.
+    let front = front(panel.points.iter());
+    let is_on_front = |point: &&Point| front.iter().any(|other| std::ptr::eq(*other, *point));
+    let (first, others): (Vec<&Point>, Vec<&Point>) = panel.points.iter().partition(is_on_front);
+    let mut names = Names::default();
+    for point in first.into_iter().chain(others) {
         let color = METHODS.iter().find(|(method, ..)| *method == point.method).map_or(BLACK, |(.., color)| *color);
         let (x, y) = chart.backend_coord(&(percent(point), point.ms));
         let (left, top) = area.get_base_pixel();
         let at = (x - left, y - top);
         mark(area, point.method, at, color)?;
-        area.draw(&Text::new(
-            point.setting.as_str(),
-            (at.0 + 6, at.1 - 5),
-            ("sans-serif", 9).into_font().color(&color),
-        ))?;
+        if let Some(at) = names.place(&point.setting, at, area.dim_in_pixel().0 as i32) {
+            area.draw(&Text::new(point.setting.as_str(), at, ("sans-serif", NAME.0).into_font().color(&color)))?;
+        }
     }
     Ok(())
+}
+
+/// The places that names of marks take: left, top, right and bottom.
+#[derive(Default)]
+struct Names(Vec<[i32; 4]>);
+
+impl Names {
+    /// The corner of a name beside a mark where no other is, if there is such a place.
+    fn place(&mut self, name: &str, mark: (i32, i32), width: i32) -> Option<(i32, i32)> {
+        let length = name.chars().count() as i32 * NAME.1;
+        let beside = [(6, -5), (6, 5), (6, -15), (-6 - length, -5), (-6 - length, 5), (-6 - length, -15)];
+        let at = beside.map(|(x, y)| (mark.0 + x, mark.1 + y));
+        let taken = |at: (i32, i32)| [at.0, at.1, at.0 + length, at.1 + NAME.0];
+        let meets = |a: &[i32; 4], b: &[i32; 4]| a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+        let is_free = |at: &(i32, i32)| {
+            let place = taken(*at);
+            LEFT < place[0] && place[2] < width && self.0.iter().all(|other| !meets(&place, other))
+        };
+        let found = at.into_iter().find(is_free)?;
+        self.0.push(taken(found));
+        Some(found)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_do_not_meet() {
+        let mut names = Names::default();
+        assert_eq!(names.place("one", (100, 50), 250), Some((106, 45)));
+        assert_eq!(names.place("two", (100, 50), 250), Some((106, 55)));
+        // To the left of the edge.
+        assert_eq!(names.place("three", (240, 50), 250), Some((209, 45)));
+        let there = (0..9).filter(|_| names.place("four", (100, 50), 250).is_some()).count();
+        assert_eq!(there, 4);
+    }
 }
 
 /// A method's mark, at pixels of the area.

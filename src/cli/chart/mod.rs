@@ -47,11 +47,11 @@ pub struct ChartArgs {
     /// Methods; all unless given
     #[arg(long, value_delimiter = ',', value_enum)]
     methods: Vec<Method>,
-    /// Frames of which a time is the median
+    /// Frames of which a time is the median: more where they are short, fewer where they take seconds
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     frames: u32,
     /// Draws the chart of figures measured before, a .json that this command has written
-    #[arg(long, value_name = "JSON", conflicts_with_all = ["references", "methods", "frames"])]
+    #[arg(long, value_name = "JSON", conflicts_with_all = ["references", "scenes", "methods", "frames"])]
     redraw: Option<PathBuf>,
 }
 
@@ -82,6 +82,9 @@ struct Chart {
     adapter: String,
     /// Width and height of the pictures whose time is measured.
     size: [u32; 2],
+    /// Whether milliseconds are the GPU's, by its timestamps, and not the clock's. The path tracer's always are the clock's.
+    #[serde(default)]
+    on_gpu: bool,
     /// Seconds that measuring took.
     seconds: f64,
     panels: Vec<Panel>,
@@ -121,10 +124,8 @@ struct Point {
     rbfs: Option<usize>,
     /// Relative: 0.01 is one per cent.
     error: f64,
-    /// Milliseconds of a frame by the clock, less those of a frame without smoke.
+    /// Milliseconds of a frame, less those of a frame without smoke; of the path tracer, of all its paths.
     ms: f64,
-    /// Sum of the passes' GPU milliseconds, where the adapter has timestamps for all that ran.
-    gpu_ms: Option<f64>,
 }
 
 /// Runs `smoke chart`.
@@ -141,25 +142,43 @@ pub fn run(args: &ChartArgs) -> anyhow::Result<()> {
             chart
         }
         None => {
-            let json = OutputFile::prepare(&args.output.with_extension("json"), &[args.output.as_path()])?;
-            let chart = measure(args)?;
-            json.write(&serde_json::to_vec_pretty(&chart)?)?;
-            chart
+            let folder = references::folder(args.references.as_deref())?;
+            let scenes: Vec<PathBuf> = args.scenes.iter().map(|name| folder.join(format!("{name}.json"))).collect();
+            let taken: Vec<&Path> = scenes.iter().map(PathBuf::as_path).chain([args.output.as_path()]).collect();
+            let json = OutputFile::prepare(&args.output.with_extension("json"), &taken)?;
+            measure(args, folder, &json)?
         }
     };
     svg.write(draw::svg(&chart)?.as_bytes())?;
     print(&format!("{}\n", chart.reading.join("\n")))
 }
 
-/// The smoke of a scene as the methods take it; scenes share it.
+/// The smoke of a scene as the methods take it, by numbers of RBFs; scenes share it.
 struct Smoke {
     grid: DensityGrid,
-    baked: Vec<(usize, SmokeAnimation)>,
+    baked: HashMap<usize, SmokeAnimation>,
 }
 
-fn measure(args: &ChartArgs) -> anyhow::Result<Chart> {
+impl Smoke {
+    /// Reads a density, and bakes it with all numbers of RBFs: before anything is timed, so that nothing disturbs that.
+    fn bake(density: &Path, counts: impl Iterator<Item = usize>, bar: &ProgressBar) -> anyhow::Result<Self> {
+        let grid = density::read(density, None)?;
+        let mut baked = HashMap::new();
+        for count in counts {
+            if !baked.contains_key(&count) {
+                bar.set_message(format!("baking {count} RBFs"));
+                let settings = BakeSettings { target: FitTarget::Count(count), ..BakeSettings::default() };
+                let done = bake(&grid, &settings, &|_| {}).with_context(|| density.display().to_string())?;
+                baked.insert(count, done.animation);
+            }
+        }
+        Ok(Self { grid, baked })
+    }
+}
+
+/// Measures all there is to, and keeps what has been measured in a file, scene by scene.
+fn measure(args: &ChartArgs, folder: &Path, json: &OutputFile) -> anyhow::Result<Chart> {
     let started = Instant::now();
-    let folder = references::folder(args.references.as_deref())?;
     let references =
         args.scenes.iter().map(|name| Reference::read(folder, name)).collect::<anyhow::Result<Vec<_>>>()?;
     ensure!(!references.is_empty(), "--scenes: name one at least");
@@ -178,55 +197,55 @@ fn measure(args: &ChartArgs) -> anyhow::Result<Chart> {
     let bar = ProgressBar::new(plan.len() as u64);
     let style = "{spinner} {msg} [{bar:30}] {pos}/{len}, {elapsed} of about {duration}";
     bar.set_style(ProgressStyle::with_template(style).expect("a constant").progress_chars("=> "));
+    let mut smoke: HashMap<&Path, Smoke> = HashMap::new();
+    for reference in &references {
+        if !smoke.contains_key(reference.density.as_path()) {
+            let counts = settings.iter().filter_map(|setting| setting.baked_rbfs());
+            smoke.insert(&reference.density, Smoke::bake(&reference.density, counts, &bar)?);
+        }
+    }
     let mut stage = Stage::new(size)?;
-    let mut smoke: HashMap<PathBuf, Smoke> = HashMap::new();
-    let mut panels: Vec<Panel> = Vec::new();
+    let mut chart = Chart {
+        adapter: stage.adapter(),
+        size: stage.size().to_array(),
+        on_gpu: stage.on_gpu(),
+        seconds: 0.0,
+        panels: Vec::new(),
+        reading: Vec::new(),
+    };
+    let save = |chart: &mut Chart| {
+        chart.seconds = started.elapsed().as_secs_f64();
+        chart.reading = reading::read(&chart.panels);
+        json.write(&serde_json::to_vec_pretty(chart)?)
+    };
     for (reference, scattering, setting) in plan {
         bar.set_message(format!("{} {}", reference.name, setting.name()));
-        let of_scene = match smoke.get_mut(&reference.density) {
-            Some(there) => there,
-            None => {
-                let grid = density::read(&reference.density, None)?;
-                smoke.entry(reference.density.clone()).or_insert(Smoke { grid, baked: Vec::new() })
-            }
-        };
-        if let Some(rbfs) = setting.baked_rbfs()
-            && !of_scene.baked.iter().any(|(count, _)| *count == rbfs)
-        {
-            let settings = BakeSettings { target: FitTarget::Count(rbfs), ..BakeSettings::default() };
-            let baked =
-                bake(&of_scene.grid, &settings, &|_| {}).with_context(|| format!("{}", reference.density.display()))?;
-            of_scene.baked.push((rbfs, baked.animation));
-        }
-        let baked = setting.baked_rbfs().and_then(|rbfs| of_scene.baked.iter().find(|(count, _)| *count == rbfs));
-        let inputs = Inputs { scene: &reference.scene, grid: &of_scene.grid, animation: baked.map(|(_, a)| a) };
+        let Smoke { grid, baked } = &smoke[reference.density.as_path()];
+        let animation = setting.baked_rbfs().and_then(|rbfs| baked.get(&rbfs));
+        let inputs = Inputs { scene: &reference.scene, grid, animation };
         let mut drawn = stage.draw(setting, &inputs, scattering.events(), args.frames)?;
         if setting.method() == Method::Fog {
             // Its light is turned up or down until the picture is as close as it gets, as an artist would.
-            drawn.scale(reference.brightness(drawn.halves()[0], scattering.events()));
+            drawn.scale(reference.brightness(&drawn.pixels, scattering.events()));
         }
-        let error = reference.error(drawn.halves(), scattering.events())?;
+        let error = reference.error(&drawn.pixels, scattering.events())?;
         let point = Point {
             method: setting.method(),
             setting: setting.name(),
             rbfs: inputs.animation.and_then(|a| Some(a.frames.get(0)?.rbfs.rbfs.len())),
             error,
             ms: drawn.ms,
-            gpu_ms: drawn.gpu_ms,
         };
-        match panels.last_mut() {
+        match chart.panels.last_mut() {
             Some(panel) if panel.scene == reference.name && panel.scattering == scattering => panel.points.push(point),
-            _ => panels.push(Panel { scene: reference.name.clone(), scattering, points: vec![point] }),
+            _ => {
+                save(&mut chart)?;
+                chart.panels.push(Panel { scene: reference.name.clone(), scattering, points: vec![point] });
+            }
         }
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let reading = reading::read(&panels);
-    Ok(Chart {
-        adapter: stage.adapter(),
-        size: stage.size().to_array(),
-        seconds: started.elapsed().as_secs_f64(),
-        panels,
-        reading,
-    })
+    save(&mut chart)?;
+    Ok(chart)
 }

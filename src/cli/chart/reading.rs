@@ -60,12 +60,16 @@ pub(super) fn read(panels: &[Panel]) -> Vec<String> {
         }
         let find = |method, name: &str| of(method).find(|point| point.setting == name);
         if let (Some(rbf), Some(paper)) = (find(Method::Rbf, "100"), find(Method::Paper, "600")) {
+            let better = of(Method::Rbf).filter(|point| point.rbfs == Some(100) && point.beats(paper));
+            let better: Vec<&str> = better.map(|point| point.setting.as_str()).collect();
             lines.push(format!(
-                "{place}: 100 RBFs with probes are {:.2} % off in {:.0} ms, the paper's method with 600 {:.2} % in {:.0} ms",
+                "{place}: 100 RBFs with probes are {:.2} % off in {}, the paper's method with 600 {:.2} % in {}; closer and \
+                 faster: {}",
                 100.0 * rbf.error,
-                rbf.ms,
+                milliseconds(rbf.ms),
                 100.0 * paper.error,
-                paper.ms
+                milliseconds(paper.ms),
+                if better.is_empty() { "none".into() } else { better.join("; ") }
             ));
         }
     }
@@ -86,18 +90,32 @@ fn against_constellation(panel: &Panel) -> Option<String> {
     }
     let ratios: Vec<_> = of(Method::Constellation).filter_map(|point| ratio(point, panel)).collect();
     let (least, point, rbf) = ratios.iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let unmatched: Vec<&str> = of(Method::Constellation)
+        .filter(|point| !ratios.iter().any(|(_, matched, _)| std::ptr::eq(*matched, *point)))
+        .map(|point| point.setting.as_str())
+        .collect();
     let list = ratios.iter().map(|(ratio, point, _)| format!("{} {ratio:.0}×", point.setting)).collect::<Vec<_>>();
     Some(format!(
-        "at the constellation's error rbf is {least:.1} times as fast or more ({}); the closest: {} at {:.2} % in {:.0} ms, \
-         rbf {} at {:.2} % in {:.0} ms",
+        "at the constellation's error rbf is {least:.1} times as fast or more ({}); the closest: {} at {:.2} % in {}, rbf {} at \
+         {:.2} % in {}{}",
         list.join(", "),
         point.setting,
         100.0 * point.error,
-        point.ms,
+        milliseconds(point.ms),
         rbf.setting,
         100.0 * rbf.error,
-        rbf.ms
+        milliseconds(rbf.ms),
+        if unmatched.is_empty() {
+            String::new()
+        } else {
+            format!("; no rbf setting is as close as {}", unmatched.join(", "))
+        }
     ))
+}
+
+/// With as many digits as say something.
+fn milliseconds(ms: f64) -> String {
+    if ms < 10.0 { format!("{ms:.2} ms") } else { format!("{ms:.0} ms") }
 }
 
 #[cfg(test)]
@@ -105,7 +123,13 @@ mod tests {
     use super::*;
 
     fn point(method: Method, setting: &str, error: f64, ms: f64) -> Point {
-        Point { method, setting: setting.into(), rbfs: None, error, ms, gpu_ms: None }
+        Point {
+            method,
+            setting: setting.into(),
+            rbfs: setting.split(' ').next().and_then(|n| n.parse().ok()),
+            error,
+            ms,
+        }
     }
 
     #[test]
@@ -123,15 +147,18 @@ mod tests {
             point(Method::Rbf, "600", 0.01, 40.0),
             point(Method::Constellation, "16 lights", 0.03, 300.0),
             point(Method::Constellation, "64 lights", 0.015, 1000.0),
+            point(Method::Constellation, "256 lights", 0.005, 4000.0),
             point(Method::Paper, "600", 0.11, 80.0),
             point(Method::Fog, "64 steps", 0.5, 5.0),
         ];
         let panel = Panel { scene: "plume".into(), scattering: Scattering::Single, points };
         let lines = read(&[panel]);
         assert!(lines[0].contains("25.0 times as fast or more (16 lights 30×, 64 lights 25×)"), "{}", lines[0]);
+        assert!(lines[0].ends_with("no rbf setting is as close as 256 lights"), "{}", lines[0]);
         assert!(lines[1].contains("1 of 1 points of paper") && lines[1].contains("none beats"), "{}", lines[1]);
         assert!(lines[2].contains("0 of 1 points of Bevy's fog"), "{}", lines[2]);
-        assert!(lines[3].contains("2.00 % off in 10 ms") && lines[3].contains("11.00 % in 80 ms"), "{}", lines[3]);
+        let said = ["2.00 % off in 10 ms", "11.00 % in 80 ms", "closer and faster: 100"];
+        assert!(said.iter().all(|said| lines[3].contains(said)), "{}", lines[3]);
     }
 
     #[test]

@@ -40,11 +40,10 @@ impl Setting {
         };
         let mut all: Vec<Self> = COUNTS.into_iter().map(|rbfs| rbf(rbfs, full, "")).collect();
         all.extend([1, 2, 3].map(|order| rbf(COUNT, SmokeModel { order, ..full }, &format!("order {order}"))));
-        all.push(rbf(100, SmokeModel { probes: 1, ..full }, "centres"));
-        all.push(rbf(COUNT, SmokeModel { probes: 1, ..full }, "centres"));
         all.push(rbf(100, SmokeModel { directions: 16, step: 1.0, ..full }, "coarse"));
         let cheap = SmokeModel { directions: 16, step: 1.0, half_resolution: true, ..full };
         all.push(rbf(100, cheap, "coarse, half"));
+        all.push(rbf(50, SmokeModel { step: 2.0, ..cheap }, "cheapest"));
         all.push(rbf(COUNT, SmokeModel { half_resolution: true, ..full }, "half"));
         all.extend([0.05, 0.02, 0.01].map(|error| Self::Auto { error }));
         all.extend([6, 8, 12, 16].map(|lattice| Self::Live { lattice }));
@@ -96,22 +95,21 @@ impl Setting {
     /// Bands of the light from all around: what is above is taken from the environment.
     pub fn order(&self) -> usize {
         match self {
-            Self::Rbf { model, .. } => model.order as usize,
             Self::Paper { order, .. } => *order,
             _ => 4,
         }
     }
 
     /// Whether it makes a point of its own in a scene's panel: the constellation and the fog scatter light once, so that
-    /// against full scattering only one of each is shown; an image has no bands to be cut off.
+    /// against full scattering only one of each is shown; light that scatters once has all bands, and so has that which
+    /// scatters evenly one; an image has no bands to be cut off.
     pub fn applies(&self, scene: &Scene, scattering: Scattering) -> bool {
         let once = scattering == Scattering::Single;
         match self {
             Self::Constellation { lights } => once || *lights == 16,
             Self::Fog { steps, .. } => once || *steps == 64,
-            Self::Rbf { .. } | Self::Paper { .. } if self.order() < 4 => {
-                matches!(scene.environment, Environment::Lobes { .. })
-            }
+            Self::Rbf { model, .. } if model.order < 4 => !once && scene.g != 0.0,
+            Self::Paper { order, .. } if *order < 4 => matches!(scene.environment, Environment::Lobes { .. }),
             _ => true,
         }
     }

@@ -1,11 +1,10 @@
 //! The windowless app in which points of the chart are drawn, one after the other, and timed.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::Context;
 use bevy::camera::visibility::RenderLayers;
-use bevy::diagnostic::{Diagnostic, DiagnosticPath, DiagnosticsStore};
 use bevy::light::VolumetricFog;
 use bevy::math::DVec3;
 use bevy::prelude::*;
@@ -15,16 +14,17 @@ use bevy::render::renderer::RenderAdapterInfo;
 use super::fog::{self, FogLight};
 use super::settings::Setting;
 use crate::bundle::{SmokeAnimation, SmokeFrames};
-use crate::cli::render::{average, environment, median, medium, read_equirect, spawn_camera, turn_light};
+use crate::cli::frame_timer;
+use crate::cli::path as tracing;
+use crate::cli::render::{average, environment, medium, read_equirect, spawn_camera, spawn_light, turn_light};
 use crate::cli::scene::{Environment, Scene};
 use crate::constellation::SmokeConstellation;
 use crate::density::DensityGrid;
 use crate::headless::Headless;
 use crate::paper::SmokePaper;
 use crate::prelude::*;
-use crate::reference::path::{self, EquirectImage, Events};
-use crate::reference::{self, Grid, Medium, Ray};
-use crate::render::SmokeRenderStats;
+use crate::reference::path::{self, Events};
+use crate::reference::{self, Grid};
 use crate::sh::ShRgb;
 
 /// Rays a pixel of the reference along each side: the picture whose time is measured is so much larger.
@@ -35,9 +35,6 @@ const TURN: f64 = 1e-4;
 const EMPTY_FRAMES: u32 = 9;
 /// Frames until what has been spawned is drawn.
 const ARRIVAL: u32 = 4;
-/// A point whose frames take longer in all is drawn no more.
-const LONG: Duration = Duration::from_secs(4);
-
 /// What a point is drawn of.
 pub(super) struct Inputs<'a> {
     pub scene: &'a Scene,
@@ -48,20 +45,14 @@ pub(super) struct Inputs<'a> {
 
 /// A point's picture and time.
 pub(super) struct Drawn {
-    halves: [Vec<[f32; 3]>; 2],
+    pub pixels: Vec<[f32; 3]>,
     pub ms: f64,
-    pub gpu_ms: Option<f64>,
 }
 
 impl Drawn {
     /// Brightens the picture.
     pub fn scale(&mut self, by: f32) {
-        self.halves.iter_mut().flatten().flatten().for_each(|value| *value *= by);
-    }
-
-    /// Two independent halves, or the picture twice.
-    pub fn halves(&self) -> [&[[f32; 3]]; 2] {
-        [&self.halves[0], if self.halves[1].is_empty() { &self.halves[0] } else { &self.halves[1] }]
+        self.pixels.iter_mut().flatten().for_each(|value| *value *= by);
     }
 }
 
@@ -76,12 +67,17 @@ pub(super) struct Stage {
 impl Stage {
     /// For references of so many pixels.
     pub fn new(pixels: [u32; 2]) -> anyhow::Result<Self> {
-        let headless = Headless::new(pixels.map(|side| side * RAYS).into(), TextureFormat::Rgba16Float)?;
+        let headless = frame_timer::headless(pixels.map(|side| side * RAYS).into(), TextureFormat::Rgba16Float)?;
         Ok(Self { headless, pixels, empty_ms: 0.0 })
     }
 
     pub fn adapter(&self) -> String {
         self.headless.app.world().resource::<RenderAdapterInfo>().name.clone()
+    }
+
+    /// Whether the GPU says what a frame takes.
+    pub fn on_gpu(&self) -> bool {
+        frame_timer::on_gpu(&self.headless)
     }
 
     /// Pixels of the pictures whose time is measured.
@@ -108,9 +104,7 @@ impl Stage {
         let camera = spawn_camera(&mut self.headless, inputs.scene);
         self.headless.app.world_mut().entity_mut(camera).insert(RenderLayers::default());
         if self.empty_ms == 0.0 {
-            self.wait(EMPTY_FRAMES);
-            let times = (0..EMPTY_FRAMES).map(|_| self.frame()).collect();
-            self.empty_ms = median(times).unwrap_or_default();
+            self.empty_ms = frame_timer::median_frame(&mut self.headless, EMPTY_FRAMES, |_, _| ());
         }
         let (subjects, unit) = self.spawn(setting, inputs, events, camera)?;
         // Assets have to reach the GPU, pipelines to be made: with one light, where lights are what takes time.
@@ -119,23 +113,8 @@ impl Stage {
             let settings = SmokeConstellation { lights: *lights, ..default() };
             self.headless.app.world_mut().entity_mut(subjects[0]).insert(settings);
         }
-        self.headless.app.world_mut().resource_mut::<DiagnosticsStore>().iter_mut().for_each(Diagnostic::clear_history);
-        let mut times = Vec::new();
-        let started = Instant::now();
-        // One more than is asked for, of which the first is warmer than it should be or colder; as few as there must be of
-        // those that take long.
-        for i in 0..=frames {
-            self.stir(subjects[0], i);
-            times.push(self.frame());
-            if started.elapsed() > LONG {
-                break;
-            }
-        }
-        if times.len() > 1 {
-            times.remove(0);
-        }
+        let ms = frame_timer::median_frame(&mut self.headless, frames, |world, frame| stir(world, subjects[0], frame));
         let pixels = average(&self.headless.float_pixels(), self.pixels, RAYS, unit);
-        let gpu_ms = self.gpu_ms();
         let world = self.headless.app.world_mut();
         for entity in subjects.into_iter().chain([camera]) {
             world.despawn(entity);
@@ -143,8 +122,8 @@ impl Stage {
         // Let go of before the next one comes.
         self.wait(2);
         let rgb = pixels.into_iter().map(|[r, g, b, _]| [r, g, b]).collect();
-        let ms = (median(times).unwrap_or_default() - self.empty_ms).max(1e-3);
-        Ok(Drawn { halves: [rgb, Vec::new()], ms, gpu_ms })
+        let ms = (ms - self.empty_ms).max(1e-3);
+        Ok(Drawn { pixels: rgb, ms })
     }
 
     /// Spawns what a setting draws; the first entity is the smoke. Returns the radiance that 1 in the picture stands for, too.
@@ -187,6 +166,7 @@ impl Stage {
         };
         let playback = SmokePlayback::at_frame(0);
         let smoke = (SmokeVolume { density }, playback, scattering, medium(scene), environment, transform);
+        let lights: Vec<Entity> = scene.lights.iter().map(|light| spawn_light(world, light, unit)).collect();
         let mut volume = world.spawn(smoke);
         match setting {
             Setting::Rbf { model, .. } => drop(volume.insert(SmokeQuality::Model(*model))),
@@ -195,17 +175,7 @@ impl Stage {
             Setting::Constellation { .. } => drop(volume.insert(SmokeConstellation { lights: 1, ..default() })),
             _ => {}
         }
-        Ok((vec![volume.id()], unit))
-    }
-
-    /// Goes on to another moment, which looks the same, under light that has turned by nothing that is seen.
-    fn stir(&mut self, volume: Entity, frame: u32) {
-        let world = self.headless.app.world_mut();
-        let angle = if frame.is_multiple_of(2) { TURN } else { -TURN };
-        if let Some(mut playback) = world.get_mut::<SmokePlayback>(volume) {
-            playback.seek(f64::from(frame + 1) / 1000.0);
-        }
-        turn_light(world, volume, angle);
+        Ok(([vec![volume.id()], lights].concat(), unit))
     }
 
     /// Draws so many frames.
@@ -217,56 +187,31 @@ impl Stage {
 
     /// Draws a frame, to its end; milliseconds.
     fn frame(&mut self) -> f64 {
-        let start = Instant::now();
-        self.headless.app.update();
-        self.headless.wait();
-        1e3 * start.elapsed().as_secs_f64()
-    }
-
-    /// Sum of the medians of the passes that ran, where all of them have times.
-    fn gpu_ms(&mut self) -> Option<f64> {
-        // CPU drivers have none of compute passes.
-        if self.headless.app.world().resource::<RenderAdapterInfo>().device_type == wgpu::DeviceType::Cpu {
-            return None;
-        }
-        // They arrive a few frames late.
-        self.wait(4);
-        let diagnostics = self.headless.app.world().resource::<DiagnosticsStore>();
-        let times = SmokeRenderStats::PASSES.iter().filter_map(|pass| {
-            let path = DiagnosticPath::new(format!("render/{pass}/elapsed_gpu"));
-            let values: Vec<f64> = diagnostics.get(&path)?.values().copied().collect();
-            median(values)
-        });
-        let times: Vec<f64> = times.collect();
-        (!times.is_empty()).then(|| times.iter().sum())
+        frame_timer::frame(&mut self.headless)
     }
 
     /// The path tracer's picture.
     fn trace(&self, paths: u32, inputs: &Inputs, events: Events) -> anyhow::Result<Drawn> {
         let Inputs { scene, grid, .. } = inputs;
-        let (center, side) = scene.placement.center_and_side(grid.shape, grid.placement);
         let density = Grid { shape: grid.shape, values: grid.values.iter().map(|&d| f64::from(d)).collect() };
-        let image = match &scene.environment {
-            Environment::Equirect(path) => {
-                let ([width, _], texels) = read_equirect(path)?;
-                Some(EquirectImage::new(width as usize, texels.into_iter().map(Vec3::from).collect()))
-            }
-            Environment::Lobes { .. } => None,
-        };
-        let lobes = |w| scene.environment.radiance(w).unwrap_or_default();
-        let environment = image.as_ref().map_or(path::Environment::Function(&lobes), path::Environment::Image);
-        let medium = Medium { sigma: scene.sigma_t * side, albedo: scene.albedo, g: scene.g };
-        let traced = path::Scene::new(&density, medium, environment, &[]);
-        let eye = (scene.camera.eye - center) / side;
-        let pixels = self.pixels;
-        let camera = |x, y| Ray::new(eye, scene.camera.direction(pixels, x, y));
+        let stage = tracing::Stage::new(scene, &density, grid.placement)?;
+        let (traced, size) = (stage.scene(), self.pixels);
+        let camera = |x, y| stage.ray(size, x, y);
         let start = Instant::now();
-        let halves = [1, 2].map(|seed| {
-            let image = path::render(&traced, pixels, camera, events, paths / 2, seed, &|_| ());
-            image.into_iter().map(|rgb: DVec3| rgb.as_vec3().to_array()).collect()
-        });
-        Ok(Drawn { halves, ms: 1e3 * start.elapsed().as_secs_f64(), gpu_ms: None })
+        let image = path::render(&traced, size, camera, events, paths, 1, &|_| ());
+        let pixels = image.into_iter().map(|rgb: DVec3| rgb.as_vec3().to_array()).collect();
+        Ok(Drawn { pixels, ms: 1e3 * start.elapsed().as_secs_f64() })
     }
+}
+
+/// Goes on to another moment, which looks the same, under light that has turned by nothing that is seen.
+fn stir(world: &mut World, volume: Entity, frame: u32) {
+    let angle = if frame.is_multiple_of(2) { TURN } else { -TURN };
+    if let Some(mut playback) = world.get_mut::<SmokePlayback>(volume) {
+        // Far enough to be another moment than the frame before, and less than a frame of the animation in all.
+        playback.seek(f64::from(frame + 10) / 1e4);
+    }
+    turn_light(world, volume, angle);
 }
 
 /// An animation of one frame twice, so that there is time to pass in it.

@@ -8,27 +8,29 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use clap::Args;
-use serde::Serialize;
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Serialize};
 
 use self::fit::{Fit, fit};
-use self::stage::{Measurement, Stage};
+use self::stage::{Measurement, Show, Stage};
 use crate::bake::{BakeSettings, bake};
 use crate::bundle::SmokeAnimation;
 use crate::cli::bake::{BAR_STEPS, progress_bar};
-use crate::cli::output::print;
-use crate::cli::scene::Scene;
+use crate::cli::output::{OutputFile, print};
+use crate::cli::references::{self, Reference};
 use crate::density;
 use crate::quality::model::candidates;
 use crate::quality::{SmokeModel, SmokeQuality};
 use crate::random::SplitMix64;
 use crate::rbf::fit::FitTarget;
+use crate::reference::path::Events;
 
 /// Options of `smoke study quality`.
 #[derive(Args, Debug)]
 pub struct QualityStudyArgs {
-    /// A folder of NAME.json and NAME/{full_a,full_b,alpha}.exr: scenes, and their path-traced pictures
+    /// The folder of reference scenes and pictures: NAME.json and NAME/{single,full}_{a,b}.exr, NAME/alpha.exr
     #[arg(long, value_name = "DIR")]
-    references: PathBuf,
+    references: Option<PathBuf>,
     /// Another such folder: scenes that nothing is fitted to
     #[arg(long, value_name = "DIR")]
     held_out: Option<PathBuf>,
@@ -38,6 +40,12 @@ pub struct QualityStudyArgs {
     /// Models drawn of every scene beside those that the fit needs
     #[arg(long, value_name = "N", default_value_t = 16)]
     others: usize,
+    /// Rays a pixel along a side, as the references average over a pixel's area: the picture that is timed is so much larger
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=16))]
+    rays: u32,
+    /// Takes the measurements of an earlier run from what it printed, and measures no more than what is chosen by their fit
+    #[arg(long, value_name = "JSON")]
+    measured: Option<PathBuf>,
     /// Writes the coefficients as Rust: src/quality/coefficients.rs
     #[arg(long, value_name = "FILE")]
     write: Option<PathBuf>,
@@ -47,8 +55,10 @@ pub struct QualityStudyArgs {
 #[derive(Serialize)]
 struct Report {
     adapter: String,
+    /// Whether milliseconds are the GPU's.
+    on_gpu: bool,
     fit: Fit,
-    /// Of pictures that nothing was fitted to: of the scenes fitted to, and of the held-out ones.
+    /// Of models that no error was fitted to, though their times were, in the scenes fitted to; and of the held-out scenes.
     prediction: [Prediction; 2],
     choices: Vec<Chosen>,
     measurements: Vec<Measurement>,
@@ -68,105 +78,109 @@ struct Prediction {
 struct Chosen {
     scene: String,
     held_out: bool,
+    /// Whether light scatters more than once.
+    multiple: bool,
     asked: String,
     why: String,
     predicted_error: f64,
     error: f64,
     predicted_ms: f64,
     milliseconds: f64,
-    /// Its time over that of the fastest model drawn that is no less accurate.
-    slower: f64,
-    /// Its error over that of the most accurate model drawn that is no slower.
-    farther: f64,
+    /// What it came to over what was asked for, error or milliseconds: at most 1 where that is kept.
+    missed: f64,
+    /// Against the best of the models drawn that keep what was asked for, or come as near as this one: its time over that
+    /// one's, where an error was asked for, and its error over that one's, where a time was. Where none can keep it, what it
+    /// came to over the least that any came to.
+    behind: f64,
 }
 
 /// A scene with its smoke.
 struct Subject {
-    name: String,
     held_out: bool,
-    folder: PathBuf,
-    scene: Scene,
+    reference: Reference,
     animation: SmokeAnimation,
 }
 
 /// Runs the study.
 pub fn run(args: &QualityStudyArgs) -> anyhow::Result<()> {
+    let written = args.write.as_deref().map(|path| OutputFile::prepare(path, &[])).transpose()?;
     let mut subjects = Vec::new();
-    for (folder, held_out) in [(Some(&args.references), false), (args.held_out.as_ref(), true)] {
-        if let Some(folder) = folder {
-            read_subjects(folder, held_out, args.rbfs, &mut subjects)?;
-        }
+    read_subjects(references::folder(args.references.as_deref())?, false, args.rbfs, &mut subjects)?;
+    if let Some(folder) = &args.held_out {
+        read_subjects(folder, true, args.rbfs, &mut subjects)?;
     }
     let bar = progress_bar();
-    let (mut measurements, mut adapter) = (Vec::new(), String::new());
-    for (i, subject) in subjects.iter().enumerate() {
-        bar.set_message(subject.name.clone());
-        let mut stage = Stage::new(subject)?;
-        adapter = stage.adapter();
+    let cases = || subjects.iter().flat_map(|subject| [Events::Single, Events::All].map(|events| (subject, events)));
+    let count = cases().count() as u64;
+    let size = subjects[0].reference.scene.camera.size;
+    ensure!(subjects.iter().all(|s| s.reference.scene.camera.size == size), "pictures of the scenes differ in size");
+    let mut stage = Stage::new(size, args.rays)?;
+    let mut halves = [Stage::new(size, 1)?, Stage::new(size, 4)?];
+    let (adapter, on_gpu) = (stage.adapter(), stage.on_gpu());
+    let mut measurements = match &args.measured {
+        Some(path) => read_measurements(path)?,
+        None => Vec::new(),
+    };
+    let to_measure = if args.measured.is_some() { 0 } else { usize::MAX };
+    for (i, (subject, events)) in cases().enumerate().take(to_measure) {
+        bar.set_message(subject.reference.name.clone());
+        let mut show = stage.show(subject, events)?;
         let mut random = SplitMix64(i as u64);
-        let all: Vec<SmokeModel> = candidates(&stage.setting()?).collect();
-        for model in simple_models(subject.scene.g != 0.0) {
-            measurements.push(stage.measure(model, true)?);
+        let all: Vec<SmokeModel> = candidates(&show.setting()?).collect();
+        for model in simple_models(subject.reference.scene.g != 0.0 && events == Events::All) {
+            measurements.push(show.measure(model, true)?);
         }
         for _ in 0..args.others {
             let model = all[random.below(all.len())];
-            measurements.push(stage.measure(model, false)?);
+            measurements.push(show.measure(model, false)?);
         }
-        for rays in [1, 4] {
-            measurements.push(Stage::with_rays(subject, rays)?.measure_half()?);
+        for stage in &mut halves {
+            measurements.push(stage.show(subject, events)?.measure_half()?);
         }
-        bar.set_position(BAR_STEPS * (i as u64 + 1) / subjects.len() as u64);
+        bar.set_position(BAR_STEPS * (i as u64 + 1) / count);
     }
     let fit = fit(&measurements);
     let mut choices = Vec::new();
-    for subject in &subjects {
-        choose(subject, &mut measurements, &fit, &mut choices)?;
+    for (subject, events) in cases() {
+        choose(&mut stage.show(subject, events)?, &mut measurements, &fit, &mut choices)?;
     }
     bar.finish_and_clear();
-    if let Some(path) = &args.write {
-        std::fs::write(path, fit.to_rust()).with_context(|| path.display().to_string())?;
-    }
     let prediction = [false, true].map(|held_out| predict(&measurements, &fit, held_out));
-    print(&format!("{}\n", serde_json::to_string_pretty(&Report { adapter, fit, prediction, choices, measurements })?))
+    let source = fit.to_rust(on_gpu);
+    let report = Report { adapter, on_gpu, fit, prediction, choices, measurements };
+    print(&format!("{}\n", serde_json::to_string_pretty(&report)?))?;
+    written.map_or(Ok(()), |file| file.write(source.as_bytes()))
+}
+
+/// The measurements that a run has printed, without those of what was chosen by its fit, which are its last.
+fn read_measurements(path: &Path) -> anyhow::Result<Vec<Measurement>> {
+    #[derive(Deserialize)]
+    struct Printed {
+        choices: Vec<IgnoredAny>,
+        measurements: Vec<Measurement>,
+    }
+    let text = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let mut printed: Printed = serde_json::from_slice(&text)
+        .with_context(|| format!("{} is not what smoke study quality prints", path.display()))?;
+    printed.measurements.truncate(printed.measurements.len().saturating_sub(printed.choices.len()));
+    Ok(printed.measurements)
 }
 
 /// The scenes in a folder.
 fn read_subjects(folder: &Path, held_out: bool, rbfs: usize, subjects: &mut Vec<Subject>) -> anyhow::Result<()> {
-    let advice = || {
-        format!(
-            "{}: a folder of NAME.json and NAME/{{full_a,full_b,alpha}}.exr is needed; `smoke render --method path --halves` \
-             makes such pictures",
-            folder.display()
-        )
-    };
-    let mut paths: Vec<PathBuf> = std::fs::read_dir(folder)
-        .with_context(advice)?
-        .filter_map(|entry| Some(entry.ok()?.path()))
-        .filter(|path| path.extension().is_some_and(|extension| extension == "json"))
-        .collect();
-    paths.sort();
-    let mut baked: Vec<(PathBuf, SmokeAnimation)> = Vec::new();
-    for path in paths {
-        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let pictures = folder.join(&name);
-        if !["full_a", "full_b", "alpha"].iter().all(|file| pictures.join(file).with_extension("exr").exists()) {
-            eprintln!("warning: {}: no path-traced pictures beside it, so it is left out", path.display());
-            continue;
-        }
-        let (scene, _) = Scene::read(&path)?;
-        let density = scene.density.clone().with_context(|| format!("{} names no density", path.display()))?;
-        let animation = match baked.iter().find(|(path, _)| *path == density) {
-            Some((_, animation)) => animation.clone(),
+    let names = references::names(folder)?;
+    ensure!(!names.is_empty(), "{}: there is no scene in it, a NAME.json", folder.display());
+    for name in names {
+        let reference = Reference::read(folder, &name)?;
+        let animation = match subjects.iter().find(|subject| subject.reference.density == reference.density) {
+            Some(subject) => subject.animation.clone(),
             None => {
                 let settings = BakeSettings { target: FitTarget::Count(rbfs), ..Default::default() };
-                let animation = bake(&density::read(&density, None)?, &settings, &|_| {})?.animation;
-                baked.push((density, animation.clone()));
-                animation
+                bake(&density::read(&reference.density, None)?, &settings, &|_| {})?.animation
             }
         };
-        subjects.push(Subject { name, held_out, folder: pictures, scene, animation });
+        subjects.push(Subject { held_out, reference, animation });
     }
-    ensure!(!subjects.is_empty(), advice());
     Ok(())
 }
 
@@ -187,39 +201,56 @@ fn simple_models(directed: bool) -> Vec<SmokeModel> {
 
 /// Measures what auto comes to in a scene by the fit.
 fn choose(
-    subject: &Subject,
+    show: &mut Show,
     measurements: &mut Vec<Measurement>,
     fit: &Fit,
     choices: &mut Vec<Chosen>,
 ) -> anyhow::Result<()> {
-    let mut stage = Stage::new(subject)?;
-    let setting = stage.setting()?;
+    let setting = show.setting()?;
     let full = fit.milliseconds(&setting, &SmokeModel::FULL) as f32;
     let asked = [0.01, 0.02, 0.04].map(SmokeQuality::Error);
-    let budgets = [0.5, 0.2, 0.1].map(|share| SmokeQuality::Budget(share * full));
+    let budgets = [0.8, 0.6, 0.4].map(|share| SmokeQuality::Budget(share * full));
     for asked in asked.into_iter().chain(budgets) {
         let chosen = fit.choose(asked, &setting);
-        let measured = stage.measure(chosen, false)?;
-        let known: Vec<&Measurement> =
-            measurements.iter().filter(|m| m.scene == subject.name && m.error.is_some()).collect();
-        let (error, time) = (measured.error.unwrap_or_default(), measured.milliseconds);
-        let fastest = known.iter().filter(|m| m.error.unwrap_or(1.0) <= error).map(|m| m.milliseconds);
-        let closest = known.iter().filter(|m| m.milliseconds <= time).filter_map(|m| m.error);
+        let measured = show.measure(chosen, false)?;
+        let of = |m: &Measurement| Some((m.error?, m.milliseconds));
+        let (error, milliseconds) = of(&measured).context("there is a reference")?;
+        let same = |m: &&Measurement| m.scene == measured.scene && m.setting.multiple == setting.multiple;
+        let known = measurements.iter().filter(same).filter_map(of);
+        let (missed, behind) = judge(asked, (error, milliseconds), &known.collect::<Vec<_>>());
         choices.push(Chosen {
-            scene: subject.name.clone(),
-            held_out: subject.held_out,
+            scene: measured.scene.clone(),
+            held_out: measured.held_out,
+            multiple: setting.multiple,
             asked: format!("{asked:?}"),
             why: format!("{chosen:?}"),
             predicted_error: fit.error(&setting, &chosen),
             error,
             predicted_ms: fit.milliseconds(&setting, &chosen),
-            milliseconds: time,
-            slower: time / fastest.fold(time, f64::min),
-            farther: error / closest.fold(error, f64::min),
+            milliseconds,
+            missed,
+            behind,
         });
         measurements.push(measured);
     }
     Ok(())
+}
+
+/// How far what was chosen is from what was asked for, and behind the best that is known; all as error and milliseconds.
+fn judge(asked: SmokeQuality, chosen: (f64, f64), known: &[(f64, f64)]) -> (f64, f64) {
+    // What is limited, and what is to be small.
+    let (limit, parts): (f64, fn(&(f64, f64)) -> (f64, f64)) = match asked {
+        SmokeQuality::Error(most) => (most.into(), |&(error, time)| (error, time)),
+        SmokeQuality::Budget(most) => (most.into(), |&(error, time)| (time, error)),
+        SmokeQuality::Model(_) => return (1.0, 1.0),
+    };
+    let (limited, price) = parts(&chosen);
+    let least = known.iter().map(|m| parts(m).0).fold(limited, f64::min);
+    if least > limit {
+        return (limited / limit, limited / least);
+    }
+    let within = known.iter().map(parts).filter(|(other, _)| *other <= limit.max(limited));
+    (limited / limit, price / within.map(|(_, price)| price).fold(price, f64::min))
 }
 
 /// How close the fit comes to pictures that it does not rest on.
@@ -228,11 +259,31 @@ fn predict(measurements: &[Measurement], fit: &Fit, held_out: bool) -> Predictio
     let mut sums = [0.0; 2];
     for m in measurements.iter().filter(|m| m.held_out == held_out && (held_out || !m.is_fitted)) {
         let Some(error) = m.error else { continue };
-        sums[0] += (fit.error(&m.setting, &m.model) / error).ln().powi(2);
+        sums[0] += (fit.error(&m.setting, &m.model) / error.max(1e-5)).ln().powi(2);
         sums[1] += (fit.milliseconds(&m.setting, &m.model) / m.milliseconds).ln().powi(2);
         prediction.pictures += 1;
     }
     let rms = |sum: f64| (sum / prediction.pictures.max(1) as f64).sqrt();
     (prediction.error_log_rms, prediction.milliseconds_log_rms) = (rms(sums[0]), rms(sums[1]));
     prediction
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn choices_are_judged_by_what_was_asked_for() {
+        let known = [(0.01, 10.0), (0.02, 4.0), (0.04, 2.0)];
+        let judge = |asked, chosen| judge(asked, chosen, &known);
+        let about = |(a, b): (f64, f64), (c, d): (f64, f64)| (a - c).abs() < 1e-6 && (b - d).abs() < 1e-6;
+        // As asked, and twice as slow as it need be.
+        assert!(about(judge(SmokeQuality::Error(0.025), (0.02, 8.0)), (0.8, 2.0)));
+        // Off by twice as much as asked: beside what is as far off.
+        assert!(about(judge(SmokeQuality::Error(0.02), (0.04, 3.0)), (2.0, 1.5)));
+        assert!(about(judge(SmokeQuality::Budget(5.0), (0.03, 5.0)), (1.0, 1.5)));
+        // Nothing can keep it.
+        assert!(about(judge(SmokeQuality::Error(0.005), (0.015, 9.0)), (3.0, 1.5)));
+        assert!(about(judge(SmokeQuality::Budget(1.0), (0.05, 3.0)), (3.0, 1.5)));
+    }
 }

@@ -1,15 +1,14 @@
 //! `smoke study table1`: Table 1 of Navarro et al. 2008, done again: what mask and distance map bring.
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
-use bevy::diagnostic::{Diagnostic, DiagnosticPath, DiagnosticsStore};
 use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
 use bevy::render::renderer::RenderAdapterInfo;
 use clap::Args;
 use serde::Serialize;
 
+use crate::cli::frame_timer;
 use crate::cli::input::Smoke;
 use crate::cli::output::print;
 use crate::cli::render::{PictureKind, median, parse_size, spawn_scene};
@@ -65,6 +64,8 @@ const SHADINGS: [(&str, ConstellationShading); 3] = [
 #[derive(Serialize)]
 struct Report {
     adapter: String,
+    /// Whether milliseconds are the GPU's, by its timestamps, and not the clock's.
+    on_gpu: bool,
     size: [u32; 2],
     lights: u32,
     frames: u32,
@@ -76,11 +77,9 @@ struct Row {
     input: String,
     shading: &'static str,
     optimization: &'static str,
-    /// Median milliseconds of a frame by the clock, GPU work included.
+    /// Median milliseconds of a frame.
     frame_ms: f64,
-    /// Median milliseconds of mask and view pass on the GPU; null where the adapter has no timestamps.
-    gpu_ms: Option<f64>,
-    /// By the clock, against no optimization.
+    /// Against no optimization.
     speed_up: f64,
     /// Largest difference of a channel from the picture without optimization, over that picture's largest value.
     difference: f64,
@@ -97,30 +96,30 @@ pub fn run(args: &Table1Args) -> anyhow::Result<()> {
     }
     scene.camera.size = args.size.unwrap_or(scene.camera.size);
     let mut rows = Vec::new();
-    let mut adapter = String::new();
+    let (mut adapter, mut on_gpu) = (String::new(), false);
     for input in &args.inputs {
         let smoke = Smoke::read(input, 0)?;
         let mut stage = Stage::new(&scene, smoke)?;
         adapter = stage.headless.app.world().resource::<RenderAdapterInfo>().name.clone();
+        on_gpu = frame_timer::on_gpu(&stage.headless);
         for (shading_name, shading) in SHADINGS {
             let mut plain: Option<(f64, Vec<[f32; 4]>)> = None;
             for (optimization, mask, skip_empty) in WAYS {
                 let settings = SmokeConstellation { lights: args.lights, shading, mask, skip_empty, ..default() };
-                let (frame_ms, gpu_ms, picture) = stage.draw(settings, args.frames)?;
+                let (frame_ms, picture) = stage.draw(settings, args.frames)?;
                 let (plain_ms, plain) = plain.get_or_insert_with(|| (frame_ms, picture.clone()));
                 rows.push(Row {
                     input: input.file_name().unwrap_or_default().to_string_lossy().into_owned(),
                     shading: shading_name,
                     optimization,
                     frame_ms,
-                    gpu_ms,
                     speed_up: *plain_ms / frame_ms,
                     difference: difference(&picture, plain),
                 });
             }
         }
     }
-    let report = Report { adapter, size: scene.camera.size, lights: args.lights, frames: args.frames, rows };
+    let report = Report { adapter, on_gpu, size: scene.camera.size, lights: args.lights, frames: args.frames, rows };
     print(&if args.json { serde_json::to_string_pretty(&report)? + "\n" } else { report.table() })
 }
 
@@ -128,15 +127,17 @@ impl Report {
     fn table(&self) -> String {
         let [width, height] = self.size;
         let mut table = format!(
-            "{}, {width} × {height} pixels, {} lights, median of {} frames\n\n\
-             | smoke | shading | optimization | frame | GPU, mask and view | speed-up | largest difference |\n\
-             |---|---|---|---|---|---|---|\n",
-            self.adapter, self.lights, self.frames
+            "{}, {width} × {height} pixels, {} lights, median of {} frames, milliseconds {}\n\n\
+             | smoke | shading | optimization | frame | speed-up | largest difference |\n\
+             |---|---|---|---|---|---|\n",
+            self.adapter,
+            self.lights,
+            self.frames,
+            if self.on_gpu { "of the GPU" } else { "by the clock" }
         );
         for row in &self.rows {
-            let gpu = row.gpu_ms.map_or("–".into(), |ms| format!("{ms:.1} ms"));
             table += &format!(
-                "| {} | {} | {} | {:.1} ms | {gpu} | {:.2} | {:.4} % |\n",
+                "| {} | {} | {} | {:.2} ms | {:.2} | {:.4} % |\n",
                 row.input,
                 row.shading,
                 row.optimization,
@@ -159,7 +160,7 @@ struct Stage {
 
 impl Stage {
     fn new(scene: &Scene, smoke: Smoke) -> anyhow::Result<Self> {
-        let mut headless = Headless::new(scene.camera.size.into(), TextureFormat::Rgba16Float)?;
+        let mut headless = frame_timer::headless(scene.camera.size.into(), TextureFormat::Rgba16Float)?;
         let lattice = LiveDensity::new(Handle::default()).lattice;
         let (volume, _) = spawn_scene(&mut headless, scene, smoke, lattice, SmokeScattering::SINGLE, PictureKind::Exr)?;
         // So that nothing else is drawn before the first constellation.
@@ -169,21 +170,16 @@ impl Stage {
         Ok(Self { headless, volume, drawn: 0 })
     }
 
-    /// Median milliseconds of a frame by the clock and on the GPU, and the picture.
-    fn draw(&mut self, settings: SmokeConstellation, frames: u32) -> anyhow::Result<(f64, Option<f64>, Vec<[f32; 4]>)> {
+    /// Median milliseconds of a frame, and the picture.
+    fn draw(&mut self, settings: SmokeConstellation, frames: u32) -> anyhow::Result<(f64, Vec<[f32; 4]>)> {
         self.headless.app.world_mut().entity_mut(self.volume).insert(settings);
         self.update();
         let times = (0..frames).map(|_| self.update()).collect();
-        // The same place for all pictures. GPU times arrive a few frames late.
-        let late = 2 + self.drawn % 2;
-        (0..late).for_each(|_| {
+        if !self.drawn.is_multiple_of(2) {
+            // The same place for all pictures.
             self.update();
-        });
-        let picture = self.headless.float_pixels();
-        let passes = ["smoke_view", "smoke_constellation_mask"];
-        let [view, mask] = passes.map(|pass| self.gpu_times(pass, frames as usize).and_then(median));
-        let gpu_ms = view.map(|view| view + mask.filter(|_| settings.mask).unwrap_or(0.0));
-        Ok((median(times).unwrap_or_default(), gpu_ms, picture))
+        }
+        Ok((median(times).unwrap_or_default(), self.headless.float_pixels()))
     }
 
     /// Draws a frame, to its end; milliseconds. The camera moves next to nothing, so that masks are made anew.
@@ -195,18 +191,7 @@ impl Stage {
         for mut transform in cameras.iter_mut(world) {
             transform.translation.x += nudge;
         }
-        let start = Instant::now();
-        self.headless.app.update();
-        self.headless.wait();
-        1e3 * start.elapsed().as_secs_f64()
-    }
-
-    /// The last GPU times of a pass.
-    fn gpu_times(&self, pass: &str, count: usize) -> Option<Vec<f64>> {
-        let path = DiagnosticPath::new(format!("render/{pass}/elapsed_gpu"));
-        let diagnostics = self.headless.app.world().resource::<DiagnosticsStore>();
-        let times: Vec<f64> = diagnostics.get(&path).map(Diagnostic::values)?.copied().collect();
-        Some(times[times.len().saturating_sub(count)..].to_vec())
+        frame_timer::frame(&mut self.headless)
     }
 }
 

@@ -186,8 +186,9 @@ impl Constellations {
     }
 
     /// Lets go of what is not in use.
-    pub fn retain(&mut self, in_use: impl Fn(u32) -> bool) {
-        self.distances.retain(|_, map| in_use(map.last_used));
+    pub fn retain(&mut self, now: u32, in_use: impl Fn(u32) -> bool) {
+        // They are large, quickly made, and follow densities that may change every frame.
+        self.distances.retain(|_, map| now.wrapping_sub(map.last_used) <= 1);
         self.volumes.retain(|_, volume| in_use(volume.last_used));
         for volume in self.volumes.values_mut() {
             volume.seen.retain(|_, seen| in_use(seen.last_used));

@@ -3,18 +3,15 @@
 use serde::Serialize;
 
 use super::stage::Measurement;
-use crate::quality::model::{Coefficients, Setting, WORK};
-use crate::quality::{Pace, QualityChoice, SmokeModel, SmokeQuality};
+use crate::quality::coefficients::{CPU_PRICES, GPU_PRICES};
+use crate::quality::model::{Errors, Prices, Setting, WORK};
+use crate::quality::{Machine, QualityChoice, SmokeModel, SmokeQuality};
 
 /// The coefficients, in single precision as the plug-in has them.
 #[derive(Clone, Debug, Serialize)]
 pub struct Fit {
-    #[serde(serialize_with = "as_debug")]
-    coefficients: Coefficients,
-}
-
-fn as_debug<S: serde::Serializer>(value: &Coefficients, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_str(&format_args!("{value:?}"))
+    errors: Errors,
+    prices: Prices,
 }
 
 /// A row of a least-squares problem: features, and what they should add up to.
@@ -22,28 +19,30 @@ type Row<const N: usize> = ([f64; N], f64);
 
 impl Fit {
     pub fn error(&self, setting: &Setting, model: &SmokeModel) -> f64 {
-        setting.error_with(model, &self.coefficients).into()
+        setting.error_with(model, &self.errors).into()
     }
 
     pub fn milliseconds(&self, setting: &Setting, model: &SmokeModel) -> f64 {
-        setting.milliseconds_with(model, &self.coefficients).total().into()
+        setting.milliseconds(model, &self.prices).total().into()
     }
 
     /// What auto would choose.
     pub fn choose(&self, asked: SmokeQuality, setting: &Setting) -> SmokeModel {
-        QualityChoice::best_with(asked, setting, &Pace::default(), &self.coefficients).model
+        QualityChoice::best_with(asked, setting, &Machine::with(self.prices), &self.errors).model
     }
 
-    /// The source of `quality::coefficients`.
-    pub fn to_rust(&self) -> String {
-        let Coefficients { prices, base, probes, directions, order, step, half } = self.coefficients;
+    /// The source of `quality::coefficients`; the prices of the other kind of device stay as they are.
+    pub fn to_rust(&self, on_gpu: bool) -> String {
+        let Errors { base, fewer, probes, directions, order, step, half } = self.errors;
+        let (gpu, cpu) = if on_gpu { (self.prices, CPU_PRICES) } else { (GPU_PRICES, self.prices) };
         format!(
-            "//! Written by `smoke study quality --write`.\n\n\
-             use super::model::Coefficients;\n\n\
-             /// Fitted to the measurements in docs/measurements/2026-11-26-quality.md.\n\
-             pub(super) const COEFFICIENTS: Coefficients = Coefficients {{\n    \
-             prices: {prices:?},\n    base: {base:?},\n    probes: {probes:?},\n    directions: {directions:?},\n    \
-             order: {order:?},\n    step: {step:?},\n    half: {half:?},\n}};\n"
+            "//! What models cost and how far off they are, in numbers: `smoke study quality --write` writes this file.\n\n\
+             use super::model::{{Errors, Prices}};\n\n\
+             /// On a GPU.\npub const GPU_PRICES: Prices = {gpu:?};\n\n\
+             /// On a CPU.\npub const CPU_PRICES: Prices = {cpu:?};\n\n\
+             /// Against path tracing, and of models against the full one.\n\
+             pub const ERRORS: Errors = Errors {{\n    base: {base:?},\n    fewer: {fewer:?},\n    probes: {probes:?},\n    \
+             directions: {directions:?},\n    order: {order:?},\n    step: {step:?},\n    half: {half:?},\n}};\n"
         )
     }
 }
@@ -52,37 +51,47 @@ impl Fit {
 pub fn fit(measurements: &[Measurement]) -> Fit {
     let full = SmokeModel::FULL;
     let fitted: Vec<&Measurement> = measurements.iter().filter(|m| m.is_fitted).collect();
-    let alone = |m: &&&Measurement, like: SmokeModel| m.model == like;
     let log = |value: f64| value.max(1e-5).ln();
-    // The full model at several numbers of RBFs, against the truth.
-    let base = fitted.iter().filter(|m| alone(m, SmokeModel { rbfs: m.model.rbfs, ..full }));
-    let base = base.filter_map(|m| Some((m.setting.base_features(&m.model).map(f64::from), log(m.error?))));
+    // The full model against the truth.
+    let base = fitted.iter().filter(|m| m.model == full).filter_map(|m| {
+        let radius = m.setting.radius(&full);
+        Some(([1.0, radius, radius * radius, m.setting.once()].map(f64::from), log(m.error?)))
+    });
     // The others against the full model's picture. Few RBFs change it too: what is left is what counts.
     let only = |change: fn(&SmokeModel) -> SmokeModel| {
         fitted.iter().filter(move |m| m.model != full && change(&m.model) == full).copied()
     };
+    let fewer = only(|m| SmokeModel { rbfs: u32::MAX, ..*m });
+    let fewer = fewer.map(|m| {
+        let features = [1.0, m.setting.radius(&full), m.setting.fewer(&m.model), m.setting.once()];
+        (features.map(f64::from), log(m.change))
+    });
     let probes = only(|m| SmokeModel { probes: 7, ..*m });
-    let probes = probes.map(|m| ([1.0, f64::from(m.setting.base_features(&m.model)[1])], log(m.change)));
+    let probes = probes.map(|m| ([1.0, m.setting.radius(&m.model).into(), m.setting.once().into()], log(m.change)));
     let directions = only(|m| SmokeModel { directions: 64, ..*m });
-    let directions = directions.map(|m| ([1.0, (64.0 / f64::from(m.model.directions)).ln()], log(m.change)));
+    let directions = directions
+        .map(|m| ([1.0, (64.0 / f64::from(m.model.directions)).ln(), m.setting.once().into()], log(m.change)));
     let order = only(|m| SmokeModel { order: 4, ..*m });
     let order =
         order.map(|m| ([1.0, f64::from(m.model.order) * f64::from(m.setting.g.abs().max(0.01)).ln()], log(m.change)));
     let step = only(|m| SmokeModel { step: 0.5, ..*m });
-    let step = step.map(|m| ([1.0, f64::from(m.model.step).ln()], log(m.change)));
+    let step = step.map(|m| {
+        let step = f64::from(m.model.step).ln();
+        ([1.0, step, step * step], log(m.change))
+    });
     // At the size that it was drawn at.
     let half = only(|m| SmokeModel { half_resolution: false, ..*m }).filter(|m| m.error.is_none());
     let half = half.map(|m| ([1.0, f64::from(m.setting.cells_a_pixel).ln()], log(m.change)));
-    let coefficients = Coefficients {
-        prices: prices(measurements),
+    let errors = Errors {
         base: solve(base),
+        fewer: solve(fewer),
         probes: solve(probes),
         directions: solve(directions),
         order: solve(order),
         step: solve(step),
         half: solve(half),
     };
-    Fit { coefficients }
+    Fit { errors, prices: prices(measurements) }
 }
 
 /// The prices of work, from the times of whole frames, all relative errors being alike.

@@ -1,129 +1,135 @@
 //! Where models are drawn and timed, by the plug-in.
 
-use std::time::Instant;
-
 use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
 use bevy::render::renderer::RenderAdapterInfo;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::Subject;
-use crate::cli::exr_io::ExrImage;
+use crate::cli::frame_timer;
 use crate::cli::render::{average, environment, medium, spawn_camera, spawn_light, turn_light};
 use crate::headless::Headless;
 use crate::prelude::*;
 use crate::quality::model::Setting;
 use crate::reference::compare::image_error;
+use crate::reference::path::Events;
 use crate::render::SmokeRenderStats;
 
-/// Rays a pixel along a side: as the reference averages over a pixel's area.
-const RAYS: u32 = 2;
-/// Frames that are timed.
-const FRAMES: usize = 4;
+/// Frames without smoke, whose median is taken off the others'.
+const EMPTY_FRAMES: u32 = 9;
+/// Frames until what has been spawned is drawn.
+const ARRIVAL: u32 = 4;
+/// Frames that are timed, at least.
+const FRAMES: u32 = 4;
 
 /// A model, drawn and timed.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Measurement {
     pub scene: String,
     pub held_out: bool,
     /// Whether the fit is made of it.
     pub is_fitted: bool,
-    #[serde(serialize_with = "as_debug")]
     pub model: SmokeModel,
-    #[serde(serialize_with = "as_debug")]
     pub setting: Setting,
     /// Against the path-traced picture; None at another size than that.
     pub error: Option<f64>,
     /// Against the picture of the full model.
     pub change: f64,
-    /// Median milliseconds of a whole frame in which extinction and light change, by the clock: spans of passes are not to be
-    /// trusted on software adapters, which put off work.
+    /// Median milliseconds of a frame in which extinction and light change, less those of a frame without smoke.
     pub milliseconds: f64,
 }
 
-fn as_debug<T: std::fmt::Debug, S: serde::Serializer>(value: &T, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_str(&format_args!("{value:?}"))
+/// A windowless app in which scenes are shown one after the other.
+pub struct Stage {
+    headless: Headless,
+    rays: u32,
+    /// Milliseconds of a frame without smoke.
+    empty_ms: f64,
 }
 
-/// A scene in a windowless app.
-pub struct Stage<'a> {
+/// A scene on a stage.
+pub struct Show<'a> {
+    stage: &'a mut Stage,
     subject: &'a Subject,
-    headless: Headless,
-    volume: Entity,
+    events: Events,
+    /// All that the scene consists of, the smoke first.
+    entities: Vec<Entity>,
     environment: SmokeEnvironment,
     unit: f32,
-    rays: u32,
-    /// Path-traced halves.
-    reference: [Vec<[f32; 3]>; 2],
-    alpha: Vec<f32>,
     /// The full model's picture, at the size drawn and averaged over pixels.
     full: [Vec<[f32; 4]>; 2],
 }
 
-impl<'a> Stage<'a> {
-    pub fn new(subject: &'a Subject) -> anyhow::Result<Self> {
-        Self::with_rays(subject, RAYS)
+impl Stage {
+    /// For pictures of such a size, with so many rays a pixel along a side.
+    pub fn new(size: [u32; 2], rays: u32) -> anyhow::Result<Self> {
+        let headless = frame_timer::headless(UVec2::from(size) * rays, TextureFormat::Rgba16Float)?;
+        Ok(Self { headless, rays, empty_ms: 0.0 })
     }
 
-    pub fn with_rays(subject: &'a Subject, rays: u32) -> anyhow::Result<Self> {
-        let Subject { scene, animation, folder, .. } = subject;
-        let size = scene.camera.size;
-        let mut headless = Headless::new((UVec2::from(size) * rays).to_array().into(), TextureFormat::Rgba16Float)?;
-        spawn_camera(&mut headless, scene);
-        let world = headless.app.world_mut();
+    pub fn show<'a>(&'a mut self, subject: &'a Subject, events: Events) -> anyhow::Result<Show<'a>> {
+        let (scene, animation) = (&subject.reference.scene, &subject.animation);
+        let mut entities = vec![spawn_camera(&mut self.headless, scene)];
+        if self.empty_ms == 0.0 {
+            self.empty_ms = frame_timer::median_frame(&mut self.headless, EMPTY_FRAMES, |_, _| ());
+        }
+        let world = self.headless.app.world_mut();
         let (environment, unit) = environment(world, scene)?;
         let (center, side) = scene.placement.center_and_side(animation.shape, animation.placement);
         let animation = world.resource_mut::<Assets<SmokeAnimation>>().add(animation.clone());
         let volume = (
             SmokeVolume::new(animation),
-            SmokeScattering::MULTIPLE,
+            if events == Events::All { SmokeScattering::MULTIPLE } else { SmokeScattering::SINGLE },
             medium(scene),
             environment.clone(),
             Transform::from_translation(center.as_vec3()).with_scale(Vec3::splat(side as f32)),
         );
-        let volume = world.spawn(volume).id();
-        for light in &scene.lights {
-            spawn_light(world, light, unit);
-        }
-        headless.settle()?;
-        let read = |name: &str| ExrImage::read(&folder.join(name));
-        let reference = [read("full_a.exr")?.rgb()?, read("full_b.exr")?.rgb()?];
-        let alpha = read("alpha.exr")?.alpha()?.to_vec();
-        let mut stage =
-            Self { subject, headless, volume, environment, unit, rays, reference, alpha, full: [vec![], vec![]] };
-        stage.full = stage.draw(SmokeModel::FULL);
-        Ok(stage)
+        entities.insert(0, world.spawn(volume).id());
+        entities.extend(scene.lights.iter().map(|light| spawn_light(world, light, unit)));
+        // Assets have to reach the GPU, pipelines to be made.
+        (0..ARRIVAL).for_each(|_| self.headless.app.update());
+        let mut show = Show { stage: self, subject, events, entities, environment, unit, full: [vec![], vec![]] };
+        show.full = show.draw(SmokeModel::FULL);
+        Ok(show)
+    }
+
+    /// Whether the GPU says what a frame takes.
+    pub fn on_gpu(&self) -> bool {
+        frame_timer::on_gpu(&self.headless)
     }
 
     pub fn adapter(&self) -> String {
         self.headless.app.world().resource::<RenderAdapterInfo>().name.clone()
     }
+}
 
+impl Show<'_> {
     /// What predictions are made for.
     pub fn setting(&self) -> anyhow::Result<Setting> {
-        let choice = self.headless.app.world().resource::<SmokeRenderStats>().quality(self.volume);
-        Ok(choice.ok_or_else(|| anyhow::anyhow!("{}: the camera sees no smoke", self.subject.name))?.setting)
+        let choice = self.stage.headless.app.world().resource::<SmokeRenderStats>().quality(self.entities[0]);
+        Ok(choice.ok_or_else(|| anyhow::anyhow!("{}: the camera sees no smoke", self.subject.reference.name))?.setting)
     }
 
     /// The picture of a model, as drawn and averaged over pixels.
     fn draw(&mut self, model: SmokeModel) -> [Vec<[f32; 4]>; 2] {
-        let mut volume = self.headless.app.world_mut().entity_mut(self.volume);
-        volume.insert((SmokeQuality::Model(model), self.environment.clone(), medium(&self.subject.scene)));
+        let mut volume = self.stage.headless.app.world_mut().entity_mut(self.entities[0]);
+        volume.insert((SmokeQuality::Model(model), self.environment.clone(), medium(&self.subject.reference.scene)));
         for _ in 0..2 {
-            self.headless.app.update();
+            self.stage.headless.app.update();
         }
-        let pixels = self.headless.float_pixels();
-        let averaged = average(&pixels, self.subject.scene.camera.size, self.rays, self.unit);
+        let pixels = self.stage.headless.float_pixels();
+        let averaged = average(&pixels, self.subject.reference.scene.camera.size, self.stage.rays, self.unit);
         [pixels, averaged]
     }
 
     pub fn measure(&mut self, model: SmokeModel, is_fitted: bool) -> anyhow::Result<Measurement> {
         let [_, picture] = self.draw(model);
         let (picture, full) = (rgb(&picture), rgb(&self.full[1]));
-        let error = image_error([&picture, &picture], self.reference.each_ref().map(Vec::as_slice), &self.alpha)?;
-        let change = image_error([&picture, &picture], [&full, &full], &self.alpha)?;
+        let reference = &self.subject.reference;
+        let error = reference.error(&picture, self.events)?;
+        let change = image_error([&picture, &picture], [&full, &full], &reference.alpha)?;
         let (setting, times) = (self.setting()?, self.time());
-        Ok(self.measurement(model, is_fitted, setting, Some(error.relative), change.relative, times))
+        Ok(self.measurement(model, is_fitted, setting, Some(error), change.relative, times))
     }
 
     /// Half resolution at the size drawn.
@@ -147,27 +153,30 @@ impl<'a> Stage<'a> {
         change: f64,
         milliseconds: f64,
     ) -> Measurement {
-        let Subject { name, held_out, .. } = self.subject;
-        let (scene, held_out) = (name.clone(), *held_out);
+        let (scene, held_out) = (self.subject.reference.name.clone(), self.subject.held_out);
         Measurement { scene, held_out, is_fitted: is_fitted && !held_out, model, setting, error, change, milliseconds }
     }
 
     /// What a frame takes in which all light is computed anew.
     fn time(&mut self) -> f64 {
-        let mut times = Vec::new();
-        for frame in 0..FRAMES + 1 {
-            turn_light(self.headless.app.world_mut(), self.volume, 0.02);
-            let mut medium = self.headless.app.world_mut().get_mut::<SmokeMedium>(self.volume).expect("it is smoke");
-            medium.sigma_t *= if frame % 2 == 0 { 1.0001 } else { 1.0 / 1.0001 };
-            let start = Instant::now();
-            self.headless.app.update();
-            self.headless.wait();
-            times.push(1e3 * start.elapsed().as_secs_f64());
+        let volume = self.entities[0];
+        let ms = frame_timer::median_frame(&mut self.stage.headless, FRAMES, |world, frame| {
+            turn_light(world, volume, 0.02);
+            let mut medium = world.get_mut::<SmokeMedium>(volume).expect("it is smoke");
+            medium.sigma_t *= if frame.is_multiple_of(2) { 1.0001 } else { 1.0 / 1.0001 };
+        });
+        (ms - self.stage.empty_ms).max(1e-3)
+    }
+}
+
+impl Drop for Show<'_> {
+    fn drop(&mut self) {
+        let app = &mut self.stage.headless.app;
+        for entity in self.entities.drain(..) {
+            app.world_mut().despawn(entity);
         }
-        // The first is of what came before, too.
-        times.remove(0);
-        times.sort_by(f64::total_cmp);
-        times[times.len() / 2]
+        // Let go of before the next one comes.
+        (0..2).for_each(|_| app.update());
     }
 }
 
