@@ -9,6 +9,11 @@ use crate::density::GridShape;
 /// Side of a bin in density cells.
 pub const BIN_CELLS: u32 = 8;
 
+/// Bins over the cells of a grid.
+pub(crate) fn bin_shape(shape: GridShape) -> GridShape {
+    GridShape::new(shape.dims.map(|n| n.div_ceil(BIN_CELLS)))
+}
+
 /// How many of the nearest Gaussians an uncovered bin lists.
 const NEAREST: usize = 4;
 
@@ -38,8 +43,8 @@ impl RbfBins {
 
     /// The same of a moment between two frames, where some stay and others come or go.
     pub fn of_moment(rbfs: &[Rbf], stays: &[bool], shape: GridShape) -> Self {
-        let dims = shape.dims.map(|n| n.div_ceil(BIN_CELLS));
-        let bins = GridShape::new(dims);
+        let bins = bin_shape(shape);
+        let dims = bins.dims;
         // The bins that every Gaussian meets, Gaussian by Gaussian, and how many Gaussians every bin has.
         let mut met = Vec::new();
         let mut counts = vec![0_u32; bins.len()];
@@ -92,7 +97,7 @@ impl RbfBins {
 
     /// An upper bound on the number of entries that would be listed, found without listing them.
     pub fn entry_bound(rbfs: &[Rbf], shape: GridShape) -> u64 {
-        let dims = shape.dims.map(|n| n.div_ceil(BIN_CELLS));
+        let dims = bin_shape(shape).dims;
         let reached = |rbf: &Rbf| {
             let (first, last) = reach(rbf, shape, dims);
             (last.saturating_sub(first) + 1).to_array().map(u64::from).iter().product::<u64>()

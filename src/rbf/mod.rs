@@ -11,6 +11,7 @@ mod reduce;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use bins::bin_shape;
 pub use bins::{BIN_CELLS, RbfBins};
 pub use reduce::reduced;
 

@@ -15,7 +15,7 @@ use super::baked::GpuBakedFrame;
 use super::incident_light::PROBE_BYTES;
 use crate::density::GridShape;
 use crate::playback::Moment;
-use crate::rbf::{BIN_CELLS, Rbf, RbfBins};
+use crate::rbf::{Rbf, RbfBins, bin_shape};
 
 /// Format of [`GpuSmokeFrame::density`]: read texel by texel, at full precision.
 pub(super) const DENSITY_FORMAT: TextureFormat = TextureFormat::R32Float;
@@ -102,11 +102,11 @@ impl GpuSmokeFrame {
         device: &RenderDevice,
         queue: &RenderQueue,
     ) -> Self {
-        let bins = shape.dims.map(|n| n.div_ceil(BIN_CELLS));
-        let offsets = GridShape::new(bins).len() as u64 + 1;
+        let bins = bin_shape(shape);
+        let offsets = bins.len() as u64 + 1;
         let frame = Self { max_density, rbf_count: rbfs, ..Self::empty(shape, rbfs, offsets, entries, device) };
         // How many RBFs there are, the lattice's passes say.
-        frame.write_uniform(FrameUniform { rbf_count: 0, ..frame.frame_uniform(bins) }, queue);
+        frame.write_uniform(FrameUniform { rbf_count: 0, ..frame.frame_uniform(bins.dims) }, queue);
         frame
     }
 

@@ -13,7 +13,7 @@ use super::lit::storage_buffer;
 use super::pass::{ComputePass, Job};
 use super::{SmokePasses, SmokeRenderStats, SmokeWork};
 use crate::density::{COARSE_CELLS, GridShape};
-use crate::rbf::{BIN_CELLS, SUPPORT};
+use crate::rbf::{BIN_CELLS, SUPPORT, bin_shape};
 
 /// Name of the pass and its GPU span.
 pub const LABEL: &str = "smoke_lattice";
@@ -97,7 +97,7 @@ pub(super) fn room(shape: GridShape, lattice: u32) -> (u32, u64) {
     let across = ((BIN_CELLS as f32 + 2.0) / side + 2.0 * SUPPORT * RADIUS).ceil() as u64 + 1;
     let dims = lattice_shape(shape, lattice).dims;
     let a_bin: u64 = dims.to_array().map(|cells| across.min(cells.into())).iter().product();
-    let bins = GridShape::new(shape.dims.map(|n| n.div_ceil(BIN_CELLS))).len() as u64;
+    let bins = bin_shape(shape).len() as u64;
     (cells, bins * a_bin)
 }
 
@@ -134,7 +134,7 @@ pub(super) fn jobs(
     );
     // All steps have one layout.
     let bind_group = passes.of(Step::Gather).bind(device, cache, bindings);
-    let bins = GridShape::new(frame.shape.dims.map(|n| n.div_ceil(BIN_CELLS))).len() as u32;
+    let bins = bin_shape(frame.shape).len() as u32;
     let workgroups = |step| match step {
         Step::Gather => cells.len() as u32,
         Step::Place | Step::Offset => 1,
