@@ -10,7 +10,7 @@ pub const CPU_PRICES: Prices = [37.952126, 115.51089, 531.49615, 62.910072, 21.9
 
 /// Against path tracing, and of models against the full one.
 pub const ERRORS: Errors = Errors {
-    base: [-2.6776915, 1.4297131, 0.22133457, 0.17410819],
+    base: [-2.6776915, 1.429713, 0.22133456, 0.17410819],
     fewer: [-4.1520257, 1.0825918, 0.9300589, 0.6573602],
     probes: [-2.0834827, 0.8668647, 0.8802984],
     directions: [-6.327545, 1.5311764, 0.37770754],
