@@ -149,9 +149,10 @@ impl Stage {
         if let SmokeEnvironment::Coefficients { coefficients, .. } = &mut environment {
             coefficients[setting.order().pow(2)..].fill(Vec3::ZERO);
         }
-        let scattering = match events {
-            Events::Single => SmokeScattering::SINGLE,
-            Events::All => SmokeScattering::MULTIPLE,
+        let scattering = match (events, setting) {
+            // A constellation's light scatters once, whatever is asked for.
+            (Events::Single, _) | (_, Setting::Constellation { .. }) => SmokeScattering::SINGLE,
+            (Events::All, _) => SmokeScattering::MULTIPLE,
         };
         let density = match animation {
             Some(animation) => {
