@@ -152,6 +152,21 @@ impl Names {
     }
 }
 
+/// A method's mark, at pixels of the area.
+fn mark(area: &Drawing, method: Method, at: (i32, i32), color: RGBColor) -> Result {
+    let filled = color.filled();
+    match method {
+        Method::Rbf => area.draw(&Circle::new(at, 4, filled))?,
+        Method::Auto => area.draw(&Circle::new(at, 6, color.stroke_width(2)))?,
+        Method::Live => area.draw(&Circle::new(at, 4, color.stroke_width(2)))?,
+        Method::Paper => area.draw(&TriangleMarker::new(at, 5, filled))?,
+        Method::Constellation => area.draw(&Rectangle::new([(at.0 - 4, at.1 - 4), (at.0 + 4, at.1 + 4)], filled))?,
+        Method::Fog => area.draw(&Cross::new(at, 4, color.stroke_width(2)))?,
+        Method::Path => area.draw(&Cross::new(at, 3, color.stroke_width(1)))?,
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -166,19 +181,4 @@ mod tests {
         let there = (0..9).filter(|_| names.place("four", (100, 50), 250).is_some()).count();
         assert_eq!(there, 4);
     }
-}
-
-/// A method's mark, at pixels of the area.
-fn mark(area: &Drawing, method: Method, at: (i32, i32), color: RGBColor) -> Result {
-    let filled = color.filled();
-    match method {
-        Method::Rbf => area.draw(&Circle::new(at, 4, filled))?,
-        Method::Auto => area.draw(&Circle::new(at, 6, color.stroke_width(2)))?,
-        Method::Live => area.draw(&Circle::new(at, 4, color.stroke_width(2)))?,
-        Method::Paper => area.draw(&TriangleMarker::new(at, 5, filled))?,
-        Method::Constellation => area.draw(&Rectangle::new([(at.0 - 4, at.1 - 4), (at.0 + 4, at.1 + 4)], filled))?,
-        Method::Fog => area.draw(&Cross::new(at, 4, color.stroke_width(2)))?,
-        Method::Path => area.draw(&Cross::new(at, 3, color.stroke_width(1)))?,
-    }
-    Ok(())
 }

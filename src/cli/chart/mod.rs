@@ -6,7 +6,7 @@ mod reading;
 mod settings;
 mod stage;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -164,13 +164,11 @@ impl Smoke {
     fn bake(density: &Path, counts: impl Iterator<Item = usize>, bar: &ProgressBar) -> anyhow::Result<Self> {
         let grid = density::read(density, None)?;
         let mut baked = HashMap::new();
-        for count in counts {
-            if !baked.contains_key(&count) {
-                bar.set_message(format!("baking {count} RBFs"));
-                let settings = BakeSettings { target: FitTarget::Count(count), ..BakeSettings::default() };
-                let done = bake(&grid, &settings, &|_| {}).with_context(|| density.display().to_string())?;
-                baked.insert(count, done.animation);
-            }
+        for count in counts.collect::<HashSet<_>>() {
+            bar.set_message(format!("baking {count} RBFs"));
+            let settings = BakeSettings { target: FitTarget::Count(count), ..BakeSettings::default() };
+            let done = bake(&grid, &settings, &|_| {}).with_context(|| density.display().to_string())?;
+            baked.insert(count, done.animation);
         }
         Ok(Self { grid, baked })
     }
