@@ -320,7 +320,6 @@ impl LitVolume {
         let moved = self.frame_version != frame.version;
         self.frame_version = frame.version;
         let mut changed = self.uniform.differs(&light.uniform)
-            | (self.unit != light.unit)
             | moved
             | self.is_pending
             | (self.effort != effort)
@@ -369,7 +368,7 @@ impl LitVolume {
             self.version += u32::from(moved);
             return;
         }
-        // Until then, nothing that light is computed from changes.
+        // Until then, nothing that light is computed from changes; where nothing else does, radiance is linear in the unit.
         self.uniform.set(light.uniform, gpu);
         self.unit = light.unit;
         if changed {
