@@ -32,7 +32,7 @@ use bevy::render::view::{
 };
 use bevy::shader::{Shader, ShaderDefVal};
 
-use super::extract::ExtractedSmoke;
+use super::extract::{ExtractedSmoke, ExtractedVolume};
 use super::half_resolution::{self, ViewHalfResolution};
 use super::lighting::{LampUniform, LightingUniform, MAX_LAMPS};
 use super::slabs::{MAX_SLABS, SlabsUniform, ViewSlabs};
@@ -422,22 +422,24 @@ pub(super) fn prepare_view_pipelines(
         With<Camera3d>,
     >,
 ) {
-    let wants_half = smoke.volumes.values().any(|volume| volume.may_draw_half());
+    let any = |is_such: fn(&ExtractedVolume) -> bool| smoke.volumes.values().any(is_such);
+    let wants_half = any(ExtractedVolume::may_draw_half);
+    #[cfg(feature = "reference")]
+    let wants_printed = any(|volume| volume.paper.is_some());
+    let wants_constellation = any(|volume| volume.constellation.is_some());
     // The other methods are never drawn at half resolution.
     let is_whole = |key: ViewPassKey| key.resolution == Resolution::Full;
     let mut specialize = |key: ViewPassKey| Pipelines {
         exact: pipelines.specialize(&cache, &pass, key),
         #[cfg(feature = "reference")]
-        printed: (is_whole(key) && smoke.volumes.values().any(|volume| volume.paper.is_some())).then(|| {
+        printed: (is_whole(key) && wants_printed).then(|| {
             let key = ViewPassKey { emission: Emission::Printed, ..key };
             pipelines.specialize(&cache, &pass, key)
         }),
-        constellation: (is_whole(key) && smoke.volumes.values().any(|volume| volume.constellation.is_some())).then(
-            || {
-                let key = ViewPassKey { emission: Emission::Constellation, ..key };
-                pipelines.specialize(&cache, &pass, key)
-            },
-        ),
+        constellation: (is_whole(key) && wants_constellation).then(|| {
+            let key = ViewPassKey { emission: Emission::Constellation, ..key };
+            pipelines.specialize(&cache, &pass, key)
+        }),
         layout: key.view_layout(),
         key,
     };
