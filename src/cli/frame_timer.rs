@@ -21,6 +21,10 @@ use crate::headless::{Headless, HeadlessError};
 const SHORT: Duration = Duration::from_millis(300);
 /// And for no longer than about this.
 const LONG: Duration = Duration::from_secs(4);
+/// Frames without smoke.
+const EMPTY_FRAMES: u32 = 9;
+/// Frames until what has been spawned is drawn.
+const ARRIVAL: u32 = 4;
 /// Workgroups that warm up.
 const WARM_UP: u32 = 64;
 /// Threads of one.
@@ -59,44 +63,97 @@ impl Plugin for FrameTimerPlugin {
 }
 
 /// A windowless app whose frames are timed.
-pub fn headless(size: UVec2, format: TextureFormat) -> Result<Headless, HeadlessError> {
-    let folder = AssetPlugin::default().file_path;
-    Headless::with_plugins(size, format, folder, |app| {
-        app.add_plugins(FrameTimerPlugin);
-    })
+pub struct TimedApp {
+    pub headless: Headless,
+    /// Of a frame without smoke, once measured.
+    empty_ms: Option<f64>,
 }
 
-/// Draws a frame, to its end: milliseconds, of the GPU where [`on_gpu`].
-pub fn frame(headless: &mut Headless) -> f64 {
-    let start = Instant::now();
-    headless.app.update();
-    headless.wait();
-    let clock = 1e3 * start.elapsed().as_secs_f64();
-    let world = headless.app.world();
-    world.get_resource::<GpuTimer>().map_or(clock, |timer| timer.read(world.resource::<RenderDevice>().wgpu_device()))
-}
+impl TimedApp {
+    /// For pictures of such a size.
+    pub fn new(size: UVec2) -> Result<Self, HeadlessError> {
+        let folder = AssetPlugin::default().file_path;
+        let headless = Headless::with_plugins(size, TextureFormat::Rgba16Float, folder, |app| {
+            app.add_plugins(FrameTimerPlugin);
+        })?;
+        Ok(Self { headless, empty_ms: None })
+    }
 
-/// The median of frames before each of which the world is stirred: of `frames` at least, more where they are short, fewer
-/// where they take seconds.
-pub fn median_frame(headless: &mut Headless, frames: u32, mut stir: impl FnMut(&mut World, u32)) -> f64 {
-    let (mut times, started) = (Vec::new(), Instant::now());
-    for i in 0.. {
-        stir(headless.app.world_mut(), i);
-        times.push(frame(headless));
-        if started.elapsed() > if i < frames { LONG } else { SHORT } {
-            break;
+    /// The name of what draws.
+    pub fn adapter(&self) -> String {
+        self.headless.app.world().resource::<RenderAdapterInfo>().name.clone()
+    }
+
+    /// Whether frames are timed by the GPU.
+    pub fn on_gpu(&self) -> bool {
+        self.headless.app.world().contains_resource::<GpuTimer>()
+    }
+
+    pub fn world_mut(&mut self) -> &mut World {
+        self.headless.app.world_mut()
+    }
+
+    /// Draws a frame, to its end: milliseconds, of the GPU where it [says them](Self::on_gpu).
+    pub fn frame(&mut self) -> f64 {
+        let start = Instant::now();
+        self.headless.app.update();
+        self.headless.wait();
+        let clock = 1e3 * start.elapsed().as_secs_f64();
+        let world = self.headless.app.world();
+        world
+            .get_resource::<GpuTimer>()
+            .map_or(clock, |timer| timer.read(world.resource::<RenderDevice>().wgpu_device()))
+    }
+
+    /// Draws so many frames.
+    pub fn draw(&mut self, frames: u32) {
+        for _ in 0..frames {
+            self.frame();
         }
     }
-    // The first are of what came before, too.
-    if times.len() > 1 {
-        times.drain(..times.len().div_ceil(4));
-    }
-    median(times).unwrap_or_default()
-}
 
-/// Whether frames are timed by the GPU.
-pub fn on_gpu(headless: &Headless) -> bool {
-    headless.app.world().contains_resource::<GpuTimer>()
+    /// Draws what has been spawned for the first time: assets have to reach the GPU, pipelines to be made.
+    pub fn arrive(&mut self) {
+        self.draw(ARRIVAL);
+    }
+
+    /// Despawns what is there, and lets go of it before the next one comes.
+    pub fn clear(&mut self, entities: impl IntoIterator<Item = Entity>) {
+        for entity in entities {
+            self.world_mut().despawn(entity);
+        }
+        self.draw(2);
+    }
+
+    /// Measures what a frame takes without smoke, the first time that it is asked to: there is a camera, and nothing else.
+    pub fn measure_empty(&mut self) {
+        if self.empty_ms.is_none() {
+            self.empty_ms = Some(self.median_frame(EMPTY_FRAMES, |_, _| ()));
+        }
+    }
+
+    /// What the smoke adds to a frame, by the median of frames before each of which the world is stirred: of `frames` at least,
+    /// more where they are short, fewer where they take seconds.
+    pub fn smoke_ms(&mut self, frames: u32, stir: impl FnMut(&mut World, u32)) -> f64 {
+        let ms = self.median_frame(frames, stir);
+        (ms - self.empty_ms.unwrap_or_default()).max(1e-3)
+    }
+
+    fn median_frame(&mut self, frames: u32, mut stir: impl FnMut(&mut World, u32)) -> f64 {
+        let (mut times, started) = (Vec::new(), Instant::now());
+        for i in 0.. {
+            stir(self.world_mut(), i);
+            times.push(self.frame());
+            if started.elapsed() > if i < frames { LONG } else { SHORT } {
+                break;
+            }
+        }
+        // The first are of what came before, too.
+        if times.len() > 1 {
+            times.drain(..times.len().div_ceil(4));
+        }
+        median(times).unwrap_or_default()
+    }
 }
 
 /// Handles of what measures, in both worlds.

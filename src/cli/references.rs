@@ -37,6 +37,7 @@ pub(super) fn names(folder: &Path) -> anyhow::Result<Vec<String>> {
 }
 
 /// A scene with its true pictures.
+#[derive(Clone)]
 pub(super) struct Reference {
     pub name: String,
     pub scene: Scene,

@@ -15,7 +15,7 @@ pub struct QualityChoice {
     pub setting: Setting,
     /// What is drawn.
     pub model: SmokeModel,
-    /// Predicted relative RMS error over the smoke's pixels.
+    /// Predicted relative RMS error over the smoke's pixels, what is left out taken for a little worse than is likely.
     pub error: f32,
     /// Predicted milliseconds of the GPU in a frame in which everything changes.
     pub milliseconds: f32,
@@ -23,23 +23,24 @@ pub struct QualityChoice {
     pub is_met: bool,
 }
 
-/// What work costs where it is done.
+/// What predictions rest on.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Machine {
+pub(crate) struct Predictor {
     prices: Prices,
+    errors: Errors,
     /// How many times as long frames take.
     pace: f32,
 }
 
-impl Machine {
-    /// One that nothing is known of but what draws: a GPU, or a CPU in the place of one, to which passes are not worth the same.
+impl Predictor {
+    /// Where nothing is known but what draws: a GPU, or a CPU in the place of one, to which passes are not worth the same.
     pub fn of(device: wgpu::DeviceType) -> Self {
-        Self::with(if device == wgpu::DeviceType::Cpu { CPU_PRICES } else { GPU_PRICES })
+        Self::with(if device == wgpu::DeviceType::Cpu { CPU_PRICES } else { GPU_PRICES }, ERRORS)
     }
 
-    /// One of these prices.
-    pub fn with(prices: Prices) -> Self {
-        Self { prices, pace: 1.0 }
+    /// By these numbers.
+    pub fn with(prices: Prices, errors: Errors) -> Self {
+        Self { prices, errors, pace: 1.0 }
     }
 
     /// Follows what has been measured, in milliseconds, beside what [`price_of`](Self::price_of) said, slowly.
@@ -55,24 +56,44 @@ impl Machine {
         setting.milliseconds(model, &self.prices)
     }
 
-    /// Milliseconds of a frame in which everything changes.
-    pub fn milliseconds(&self, setting: &Setting, model: &SmokeModel) -> f32 {
-        self.pace * self.price_of(setting, model).total()
-    }
-}
-
-impl QualityChoice {
-    fn of(asked: SmokeQuality, model: SmokeModel, setting: &Setting, machine: &Machine, by: &Errors) -> Self {
-        let error = setting.error_with(&model, by);
-        let milliseconds = machine.milliseconds(setting, &model);
+    /// What is predicted of a model.
+    fn choice(&self, asked: SmokeQuality, setting: &Setting, model: SmokeModel) -> QualityChoice {
+        let error = setting.error(&model, &self.errors);
+        let milliseconds = self.pace * self.price_of(setting, &model).total();
         let is_met = match asked {
             SmokeQuality::Model(_) => true,
             SmokeQuality::Error(most) => error <= most,
             SmokeQuality::Budget(most) => milliseconds <= most,
         };
-        Self { asked, setting: *setting, model, error, milliseconds, is_met }
+        QualityChoice { asked, setting: *setting, model, error, milliseconds, is_met }
     }
 
+    /// The best choice there is.
+    pub fn best(&self, asked: SmokeQuality, setting: &Setting) -> QualityChoice {
+        self.best_below(asked, setting, f32::MAX)
+    }
+
+    /// The best of those of a lower [price](Self::price_of), if there are any.
+    fn best_below(&self, asked: SmokeQuality, setting: &Setting, price: f32) -> QualityChoice {
+        if let SmokeQuality::Model(model) = asked {
+            return self.choice(asked, setting, model);
+        }
+        let all = || candidates(setting).map(|model| self.choice(asked, setting, model));
+        // Where what is asked for cannot be had, the last few percent toward it are worth nothing.
+        let almost = SLIGHTLY * all().map(|choice| choice.limited()).fold(f32::MAX, f32::min);
+        let cheapest = |is_enough: &dyn Fn(&QualityChoice) -> bool| {
+            all().filter(is_enough).min_by(|a, b| a.price().total_cmp(&b.price()))
+        };
+        cheapest(&|choice| choice.is_met && choice.milliseconds < self.pace * price)
+            .or_else(|| cheapest(&|choice| choice.limited() <= almost))
+            .expect("what is least is among them")
+    }
+}
+
+/// So much more is next to nothing.
+const SLIGHTLY: f32 = 1.05;
+
+impl QualityChoice {
     /// What to keep small, where the limit is kept.
     fn price(&self) -> f32 {
         match self.asked {
@@ -95,24 +116,6 @@ impl QualityChoice {
             SmokeQuality::Model(_) => f32::MAX,
             SmokeQuality::Error(most) | SmokeQuality::Budget(most) => most,
         }
-    }
-
-    /// The best choice there is.
-    pub(crate) fn best(asked: SmokeQuality, setting: &Setting, machine: &Machine) -> Self {
-        Self::best_with(asked, setting, machine, &ERRORS)
-    }
-
-    /// The same by other predictions of the error.
-    pub(crate) fn best_with(asked: SmokeQuality, setting: &Setting, machine: &Machine, by: &Errors) -> Self {
-        if let SmokeQuality::Model(model) = asked {
-            return Self::of(asked, model, setting, machine, by);
-        }
-        let all = || candidates(setting).map(|model| Self::of(asked, model, setting, machine, by));
-        all()
-            .filter(|choice| choice.is_met)
-            .min_by(|a, b| a.price().total_cmp(&b.price()))
-            .or_else(|| all().min_by(|a, b| a.limited().total_cmp(&b.limited())))
-            .expect("there is a full model")
     }
 }
 
@@ -149,6 +152,8 @@ pub(crate) struct SteadyChoice {
     pub current: QualityChoice,
     /// Frames in which another has been better.
     better_for: u32,
+    /// What has been dearer than this has turned out to be over the budget, at the pace of then: it would come and go.
+    too_dear: f32,
 }
 
 impl SteadyChoice {
@@ -156,31 +161,33 @@ impl SteadyChoice {
     const PATIENCE: u32 = 20;
     /// And by so much.
     const GAIN: f32 = 1.2;
-    const NEXT_TO_NOTHING: f32 = 1.05;
+    /// What was too dear is so much less so a frame later: half a minute makes a fifth, and it is tried again.
+    const FORGET: f32 = 1.0001;
 
     pub fn new(best: QualityChoice) -> Self {
-        Self { current: best, better_for: 0 }
+        Self { current: best, better_for: 0, too_dear: f32::MAX }
     }
 
     /// Follows what is asked for at once, and what is best after a while.
-    pub fn update(&mut self, asked: SmokeQuality, setting: &Setting, machine: &Machine) {
-        let best = QualityChoice::best(asked, setting, machine);
+    pub fn update(&mut self, asked: SmokeQuality, setting: &Setting, predictor: &Predictor) {
         if asked != self.current.asked {
-            *self = Self::new(best);
+            *self = Self::new(predictor.best(asked, setting));
             return;
         }
-        let mut current = QualityChoice::of(asked, self.current.model, setting, machine, &ERRORS);
+        self.too_dear *= Self::FORGET;
+        let best = predictor.best_below(asked, setting, self.too_dear);
+        let mut current = predictor.choice(asked, setting, self.current.model);
         // What is over its limit by next to nothing keeps it.
-        current.is_met |= current.limited() < Self::NEXT_TO_NOTHING * current.limit();
+        current.is_met |= current.limited() <= SLIGHTLY * current.limit();
         self.current = current;
-        let is_beaten = match (best.is_met, current.is_met) {
-            (true, true) => current.price() > Self::GAIN * best.price(),
-            (true, false) => true,
-            _ => current.limited() > Self::GAIN * best.limited(),
-        };
+        let is_over = current.limited() > SLIGHTLY * current.limit().max(best.limited());
+        let is_beaten = is_over || current.price() > Self::GAIN * best.price();
         self.better_for = if is_beaten { self.better_for + 1 } else { 0 };
         if self.better_for >= Self::PATIENCE {
-            *self = Self::new(best);
+            if is_over && matches!(asked, SmokeQuality::Budget(_)) {
+                self.too_dear = current.limit() / predictor.pace;
+            }
+            *self = Self { too_dear: self.too_dear, ..Self::new(best) };
         }
     }
 }
@@ -189,7 +196,7 @@ impl SteadyChoice {
 mod tests {
     use super::*;
 
-    const MACHINE: Machine = Machine { prices: CPU_PRICES, pace: 1.0 };
+    const MACHINE: Predictor = Predictor { prices: CPU_PRICES, errors: ERRORS, pace: 1.0 };
 
     fn setting() -> Setting {
         Setting {
@@ -199,6 +206,7 @@ mod tests {
             optical_radius: 0.1,
             g: 0.0,
             multiple: true,
+            lamps: 0.0,
             cells: 1e6,
             pixels: 4e5,
             cells_along: 100.0,
@@ -207,7 +215,7 @@ mod tests {
     }
 
     fn best(asked: SmokeQuality, setting: &Setting) -> QualityChoice {
-        QualityChoice::best(asked, setting, &MACHINE)
+        MACHINE.best(asked, setting)
     }
 
     #[test]
@@ -241,8 +249,8 @@ mod tests {
     #[test]
     fn a_slow_gpu_gets_less() {
         let asked = SmokeQuality::Budget(best(SmokeQuality::default(), &setting()).milliseconds);
-        let slow = Machine { pace: 4.0, ..MACHINE };
-        let choice = QualityChoice::best(asked, &setting(), &slow);
+        let slow = Predictor { pace: 4.0, ..MACHINE };
+        let choice = slow.best(asked, &setting());
         assert!(choice.is_met && choice.error > best(asked, &setting()).error);
         // Measurements lead there.
         let predicted = Milliseconds { light: 1.0, view: 2.0 };
@@ -281,8 +289,33 @@ mod tests {
         let asked = SmokeQuality::Budget(best(SmokeQuality::Error(0.01), &setting()).milliseconds);
         let mut steady = SteadyChoice::new(best(asked, &setting()));
         for _ in 0..SteadyChoice::PATIENCE {
-            steady.update(asked, &setting(), &Machine { pace: 1.15, ..MACHINE });
+            steady.update(asked, &setting(), &Predictor { pace: 1.15, ..MACHINE });
         }
         assert!(steady.current.is_met, "{}", steady.current);
+    }
+    #[test]
+    fn what_has_turned_out_over_budget_does_not_come_and_go() {
+        let price = |model: &SmokeModel| MACHINE.price_of(&setting(), model).total();
+        let full = MACHINE.best(SmokeQuality::default(), &setting());
+        for share in [0.3, 0.4, 0.5, 0.6, 0.7, 0.8] {
+            let budget = share * full.milliseconds;
+            let asked = SmokeQuality::Budget(budget);
+            // Dear models are slower than predicted, cheap ones faster: each speaks for the other.
+            let truth = |model: &SmokeModel| price(model) * if price(model) > 0.7 * budget { 1.6 } else { 0.8 };
+            let mut machine = MACHINE;
+            let mut steady = SteadyChoice::new(machine.best(asked, &setting()));
+            let mut changes = Vec::new();
+            for frame in 0..1800 {
+                let before = steady.current.model;
+                machine.follow(truth(&before), MACHINE.price_of(&setting(), &before));
+                steady.update(asked, &setting(), &machine);
+                if steady.current.model != before {
+                    changes.push(frame);
+                }
+            }
+            // It settles within seconds; in the half minute, what was too dear is tried once more at most.
+            assert!(changes.iter().filter(|&&frame| frame > 300).count() <= 2, "{share}: {changes:?}");
+            assert!(truth(&steady.current.model) <= SLIGHTLY * budget, "{share}: {}", steady.current);
+        }
     }
 }

@@ -10,7 +10,7 @@ pub mod model;
 use bevy::prelude::*;
 
 pub use choice::QualityChoice;
-pub(crate) use choice::{Machine, SteadyChoice};
+pub(crate) use choice::{Predictor, SteadyChoice};
 pub(crate) use model::{Milliseconds, Setting};
 
 /// How much is computed for a volume of smoke; beside every [`SmokeVolume`](crate::volume::SmokeVolume).

@@ -1,10 +1,13 @@
 //! What a model costs and how far off its picture is: two small formulas, fitted to measurements by `smoke study quality`.
 
 use super::SmokeModel;
-use super::coefficients::ERRORS;
 
 /// Parts of the work of a frame, each of which has a price.
-pub const WORK: usize = 8;
+pub const WORK: usize = 9;
+/// Parts of the error.
+pub const PARTS: usize = 7;
+/// Numbers that the logarithm of each is linear in.
+pub const FEATURES: usize = 4;
 
 /// What cost and error depend on beside the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,6 +25,8 @@ pub struct Setting {
     pub g: f32,
     /// Whether light that scatters more than once is drawn.
     pub multiple: bool,
+    /// Lamps that light it, a sun among them.
+    pub lamps: f32,
     /// Cells of the density grid.
     pub cells: f32,
     /// Pixels that the box covers, in all views.
@@ -35,26 +40,8 @@ pub struct Setting {
 /// Milliseconds a unit of each part of [`Setting::work`].
 pub type Prices = [f32; WORK];
 
-/// The parts of the error.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "bake", derive(serde::Serialize))]
-pub struct Errors {
-    /// Of the full model, against the truth: ln e over 1, ln of the optical radius and its square, and 1 where light scatters
-    /// once, which hides less.
-    pub base: [f32; 4],
-    /// Of fewer RBFs that stand for all: 1, ln of the optical radius, ln (all / fewer), and 1 where light scatters once.
-    pub fewer: [f32; 4],
-    /// Of a probe in the place of seven: 1, ln of the optical radius, and 1 where light scatters once.
-    pub probes: [f32; 3],
-    /// Of fewer directions: 1, ln(64 / directions), and 1 where light scatters once.
-    pub directions: [f32; 3],
-    /// Of fewer bands, where light scatters more than once: 1, order times ln |g|.
-    pub order: [f32; 2],
-    /// Of steps longer than half a cell: 1, ln of their cells and its square.
-    pub step: [f32; 3],
-    /// Of half resolution: 1, ln of the cells a pixel.
-    pub half: [f32; 2],
-}
+/// Weights of the features of [`Setting::parts`].
+pub type Errors = [[f32; FEATURES]; PARTS];
 
 impl Setting {
     /// RBFs that light is computed at.
@@ -79,7 +66,8 @@ impl Setting {
     }
 
     /// The work of a frame in which everything changes: steps along rays, pixels that are blended, directions that probes
-    /// look in, pairs of RBFs, pairs times coefficients in sweeps, cells, cells times RBFs, and 1.
+    /// look in, RBFs, pairs of RBFs, pairs times coefficients in sweeps, cells, cells times RBFs, and 1. Lamps are work at each cell,
+    /// and four at a time as much as the rest of what an RBF has for it.
     pub fn work(&self, model: &SmokeModel) -> [f32; WORK] {
         let lit = self.lit(model);
         let pairs = if self.multiple { lit * lit } else { 0.0 };
@@ -89,10 +77,11 @@ impl Setting {
             1e-6 * marched * self.pixels * (self.cells_along / model.step),
             1e-6 * blended * self.pixels,
             1e-6 * lit * (model.probes * model.directions) as f32,
+            1e-3 * lit,
             1e-6 * pairs,
             1e-6 * pairs * coefficients * SWEEPS.min(model.sweeps as f32),
-            1e-6 * self.cells,
-            1e-9 * self.cells * lit,
+            1e-6 * self.cells * (1.0 + LAMP * self.lamps),
+            1e-9 * self.cells * lit * (1.0 + (0.25 * self.lamps).ceil()),
             1.0,
         ]
     }
@@ -104,34 +93,46 @@ impl Setting {
         Milliseconds { light: parts[2..].iter().sum(), view: parts[..2].iter().sum() }
     }
 
-    /// Predicted relative RMS error of the picture: the parts add up in squares, as errors do that have nothing to do with
-    /// each other.
-    pub fn error(&self, model: &SmokeModel) -> f32 {
-        self.error_with(model, &ERRORS)
+    /// The parts of the error, and what the logarithm of each is linear in; None of what is not left out.
+    pub fn parts(&self, model: &SmokeModel) -> [Option<[f32; FEATURES]>; PARTS] {
+        let (all, once, fewer) = (self.radius(&SmokeModel::FULL), self.once(), self.fewer(model));
+        let (order, step) = (model.order as f32, model.step.ln());
+        let cut = model.order < 4 && self.g != 0.0 && self.multiple;
+        let half = model.half_resolution && self.can_halve;
+        [
+            // Of the full model, against the truth. Light that scatters more than once hides much.
+            Some([1.0, all, all * all, once]),
+            // Of fewer RBFs that stand for all.
+            (fewer > 0.0).then_some([1.0, all, fewer, once]),
+            // Of a probe in the place of seven.
+            (model.probes == 1).then(|| [1.0, self.radius(model), once, 0.0]),
+            // Of fewer directions.
+            (model.directions < 64).then(|| [1.0, (64.0 / model.directions as f32).ln(), once, 0.0]),
+            // Of fewer bands: the phase function's are as g to the power of the band.
+            cut.then(|| [1.0, order, order * self.g.abs().max(0.01).ln(), 0.0]),
+            // Of steps longer than half a cell.
+            (model.step > 0.5).then_some([1.0, step, step * step, 0.0]),
+            // Of half resolution.
+            half.then(|| [1.0, self.cells_a_pixel.max(1e-3).ln(), 0.0, 0.0]),
+        ]
     }
 
-    /// The same by other coefficients.
-    pub fn error_with(&self, model: &SmokeModel, by: &Errors) -> f32 {
-        let (all, once, fewer) = (self.radius(&SmokeModel::FULL), self.once(), self.fewer(model));
-        let mut sum = 0.0;
-        let mut add = |applies: bool, weights: &[f32], features: &[f32]| {
-            if applies {
-                let log: f32 = weights.iter().zip(features).map(|(weight, feature)| weight * feature).sum();
-                sum += (2.0 * log).exp();
-            }
-        };
-        add(true, &by.base, &[1.0, all, all * all, once]);
-        add(fewer > 0.0, &by.fewer, &[1.0, all, fewer, once]);
-        add(model.probes == 1, &by.probes, &[1.0, self.radius(model), once]);
-        add(model.directions < 64, &by.directions, &[1.0, (64.0 / model.directions as f32).ln(), once]);
-        let order = [1.0, model.order as f32 * self.g.abs().max(0.01).ln()];
-        add(model.order < 4 && self.g != 0.0 && self.multiple, &by.order, &order);
-        let step = model.step.ln();
-        add(model.step > 0.5, &by.step, &[1.0, step, step * step]);
-        add(model.half_resolution && self.can_halve, &by.half, &[1.0, self.cells_a_pixel.max(1e-3).ln()]);
-        sum.sqrt()
+    /// Predicted relative RMS error of the picture: the parts add up in squares, as errors do that have nothing to do with
+    /// each other.
+    pub fn error(&self, model: &SmokeModel, by: &Errors) -> f32 {
+        let parts = self.parts(model).into_iter().zip(by);
+        parts.filter_map(|(features, weights)| Some(square(&features?, weights))).sum::<f32>().sqrt()
     }
 }
+
+/// Of a part of the error.
+pub fn square(features: &[f32; FEATURES], weights: &[f32; FEATURES]) -> f32 {
+    let log: f32 = features.iter().zip(weights).map(|(feature, weight)| feature * weight).sum();
+    (2.0 * log).exp()
+}
+
+/// What a lamp adds to the work at a cell, by measurement.
+const LAMP: f32 = 0.4;
 
 /// Sweeps that a solve takes where the solution before is not far off.
 const SWEEPS: f32 = 5.0;

@@ -304,6 +304,7 @@ pub(super) fn prepare_smoke(
             #[cfg(feature = "reference")]
             let uniform = if volume.paper.is_some() { paper::without_lamps(uniform, volume_entity) } else { uniform };
             if volume.constellation.is_none() {
+                qualities.lit_by(volume_entity, uniform.lamp_count);
                 warn_of_limits(volume_entity, &uniform, frame.typical_depth().unwrap_or(0.0));
             }
             let around = Around::new(
@@ -423,8 +424,8 @@ pub(super) fn prepare_smoke(
     stats.set_memory(frames.memory());
     levels.retain(in_use);
     let is_chosen = |volume| smoke.volumes.get(&volume).is_some_and(|volume| volume.constellation.is_none());
-    qualities.retain(is_chosen);
-    stats.retain_volumes(exists, is_chosen);
+    qualities.retain(is_chosen, &stats);
+    stats.retain_scattering(exists);
     volumes.retain(|(entity, _), volume| in_use(volume.last_used) && smoke.volumes.contains_key(entity));
     constellations.retain(*now, in_use);
     surroundings.retain(|key, _| volumes.contains_key(key) || constellations.has(key));

@@ -13,7 +13,7 @@ use super::extract::{Content, ExtractedVolume};
 use super::frame::GpuSmokeFrame;
 use super::placed::{Coverage, Placed};
 use super::view::{self, Emission};
-use crate::quality::{Machine, Milliseconds, QualityChoice, Setting, SmokeModel, SteadyChoice};
+use crate::quality::{Milliseconds, Predictor, Setting, SmokeModel, SteadyChoice};
 
 /// What has been measured longer ago than this says nothing of the present.
 const RECENT: Duration = Duration::from_secs(1);
@@ -22,10 +22,12 @@ const RECENT: Duration = Duration::from_secs(1);
 #[derive(Default)]
 pub(super) struct Qualities {
     choices: HashMap<MainEntity, SteadyChoice>,
+    /// Lamps that have lit each volume.
+    lamps: HashMap<MainEntity, u32>,
     /// What the views of this frame make of each volume, and what of its light is known.
     settings: HashMap<MainEntity, Setting>,
     /// Known from the first frame on.
-    machine: Option<Machine>,
+    predictor: Option<Predictor>,
     /// Of the frame before.
     predicted: Milliseconds,
 }
@@ -46,6 +48,7 @@ impl Qualities {
         can_halve: bool,
     ) {
         let shape = placed.shape;
+        let lamps = self.lamps.get(&entity).copied();
         let setting = self.settings.entry(entity).or_insert_with(|| {
             // Of live smoke nothing is known but its lattice.
             let optical_radius = frame.typical_depth().map_or(0.3, |depth| depth * placed.sigma(volume));
@@ -57,6 +60,8 @@ impl Qualities {
                 optical_radius,
                 g: volume.medium.g,
                 multiple,
+                // Known of the frame before.
+                lamps: lamps.unwrap_or(0) as f32,
                 cells: dims.element_product(),
                 pixels: 0.0,
                 // The mean chord of a convex body: four times its volume over its surface.
@@ -77,9 +82,9 @@ impl Qualities {
         adapter: &RenderAdapterInfo,
         stats: &SmokeRenderStats,
     ) {
-        let machine = self.machine.get_or_insert_with(|| Machine::of(adapter.device_type));
+        let predictor = self.predictor.get_or_insert_with(|| Predictor::of(adapter.device_type));
         if let Some(measured) = measured {
-            machine.follow(measured, self.predicted);
+            predictor.follow(measured, self.predicted);
         }
         let mut predicted = Milliseconds::default();
         for (&entity, setting) in &self.settings {
@@ -87,14 +92,19 @@ impl Qualities {
             let choice = self
                 .choices
                 .entry(entity)
-                .and_modify(|choice| choice.update(asked, setting, machine))
-                .or_insert_with(|| SteadyChoice::new(QualityChoice::best(asked, setting, machine)));
+                .and_modify(|choice| choice.update(asked, setting, predictor))
+                .or_insert_with(|| SteadyChoice::new(predictor.best(asked, setting)));
             stats.set_quality(entity, choice.current);
-            let work = machine.price_of(setting, &choice.current.model);
+            let work = predictor.price_of(setting, &choice.current.model);
             predicted.light += work.light;
             predicted.view += work.view;
         }
         self.predicted = predicted;
+    }
+
+    /// So many lamps light a volume.
+    pub fn lit_by(&mut self, entity: MainEntity, lamps: u32) {
+        self.lamps.insert(entity, lamps);
     }
 
     /// What a volume is drawn with.
@@ -103,8 +113,10 @@ impl Qualities {
     }
 
     /// Lets go of volumes that are gone, or no longer drawn by choice.
-    pub fn retain(&mut self, exists: impl Fn(MainEntity) -> bool) {
-        self.choices.retain(|entity, _| exists(*entity));
+    pub fn retain(&mut self, is_chosen: impl Fn(MainEntity) -> bool, stats: &SmokeRenderStats) {
+        self.choices.retain(|entity, _| is_chosen(*entity));
+        self.lamps.retain(|entity, _| is_chosen(*entity));
+        stats.retain_quality(is_chosen);
     }
 }
 

@@ -114,11 +114,13 @@ impl SmokeRenderStats {
         }
     }
 
-    /// Forgets volumes that are gone, and choices of quality for those that are drawn otherwise.
-    pub(super) fn retain_volumes(&self, exists: impl Fn(MainEntity) -> bool, is_chosen: impl Fn(MainEntity) -> bool) {
+    pub(super) fn retain_quality(&self, is_drawn: impl Fn(MainEntity) -> bool) {
         if let Ok(mut choices) = self.quality_choices.lock() {
-            choices.retain(|volume, _| is_chosen((*volume).into()));
+            choices.retain(|volume, _| is_drawn((*volume).into()));
         }
+    }
+
+    pub(super) fn retain_scattering(&self, exists: impl Fn(MainEntity) -> bool) {
         if let Ok(mut choices) = self.scattering_choices.lock() {
             choices.retain(|volume, _| exists((*volume).into()));
         }

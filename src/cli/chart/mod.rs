@@ -204,9 +204,9 @@ fn measure(args: &ChartArgs, folder: &Path, json: &OutputFile) -> anyhow::Result
     }
     let mut stage = Stage::new(size)?;
     let mut chart = Chart {
-        adapter: stage.adapter(),
+        adapter: stage.app.adapter(),
         size: stage.size().to_array(),
-        on_gpu: stage.on_gpu(),
+        on_gpu: stage.app.on_gpu(),
         seconds: 0.0,
         panels: Vec::new(),
         reading: Vec::new(),

@@ -8,19 +8,16 @@ use bevy::camera::visibility::RenderLayers;
 use bevy::light::VolumetricFog;
 use bevy::math::DVec3;
 use bevy::prelude::*;
-use bevy::render::render_resource::TextureFormat;
-use bevy::render::renderer::RenderAdapterInfo;
 
 use super::fog::{self, FogLight};
 use super::settings::Setting;
 use crate::bundle::{SmokeAnimation, SmokeFrames};
-use crate::cli::frame_timer;
+use crate::cli::frame_timer::TimedApp;
 use crate::cli::path as tracing;
 use crate::cli::render::{average, environment, medium, read_equirect, spawn_camera, spawn_light, turn_light};
 use crate::cli::scene::{Environment, Scene};
 use crate::constellation::SmokeConstellation;
 use crate::density::DensityGrid;
-use crate::headless::Headless;
 use crate::paper::SmokePaper;
 use crate::prelude::*;
 use crate::reference::path::{self, Events};
@@ -31,10 +28,7 @@ use crate::sh::ShRgb;
 const RAYS: u32 = 2;
 /// Radians that the light turns by from frame to frame: enough to be lit anew, and not to be seen.
 const TURN: f64 = 1e-4;
-/// Frames without smoke, whose median is taken off the others'.
-const EMPTY_FRAMES: u32 = 9;
-/// Frames until what has been spawned is drawn.
-const ARRIVAL: u32 = 4;
+
 /// What a point is drawn of.
 pub(super) struct Inputs<'a> {
     pub scene: &'a Scene,
@@ -57,27 +51,15 @@ impl Drawn {
 }
 
 pub(super) struct Stage {
-    headless: Headless,
+    pub app: TimedApp,
     /// Pixels of a reference.
     pixels: [u32; 2],
-    /// Milliseconds of a frame without smoke.
-    empty_ms: f64,
 }
 
 impl Stage {
     /// For references of so many pixels.
     pub fn new(pixels: [u32; 2]) -> anyhow::Result<Self> {
-        let headless = frame_timer::headless(pixels.map(|side| side * RAYS).into(), TextureFormat::Rgba16Float)?;
-        Ok(Self { headless, pixels, empty_ms: 0.0 })
-    }
-
-    pub fn adapter(&self) -> String {
-        self.headless.app.world().resource::<RenderAdapterInfo>().name.clone()
-    }
-
-    /// Whether the GPU says what a frame takes.
-    pub fn on_gpu(&self) -> bool {
-        frame_timer::on_gpu(&self.headless)
+        Ok(Self { app: TimedApp::new(UVec2::from(pixels) * RAYS)?, pixels })
     }
 
     /// Pixels of the pictures whose time is measured.
@@ -101,28 +83,20 @@ impl Stage {
         events: Events,
         frames: u32,
     ) -> anyhow::Result<Drawn> {
-        let camera = spawn_camera(&mut self.headless, inputs.scene);
-        self.headless.app.world_mut().entity_mut(camera).insert(RenderLayers::default());
-        if self.empty_ms == 0.0 {
-            self.empty_ms = frame_timer::median_frame(&mut self.headless, EMPTY_FRAMES, |_, _| ());
-        }
+        let camera = spawn_camera(&mut self.app.headless, inputs.scene);
+        self.app.world_mut().entity_mut(camera).insert(RenderLayers::default());
+        self.app.measure_empty();
         let (subjects, unit) = self.spawn(setting, inputs, events, camera)?;
-        // Assets have to reach the GPU, pipelines to be made: with one light, where lights are what takes time.
-        self.wait(ARRIVAL);
+        // With one light, where lights are what takes time.
+        self.app.arrive();
         if let Setting::Constellation { lights } = setting {
             let settings = SmokeConstellation { lights: *lights, ..default() };
-            self.headless.app.world_mut().entity_mut(subjects[0]).insert(settings);
+            self.app.world_mut().entity_mut(subjects[0]).insert(settings);
         }
-        let ms = frame_timer::median_frame(&mut self.headless, frames, |world, frame| stir(world, subjects[0], frame));
-        let pixels = average(&self.headless.float_pixels(), self.pixels, RAYS, unit);
-        let world = self.headless.app.world_mut();
-        for entity in subjects.into_iter().chain([camera]) {
-            world.despawn(entity);
-        }
-        // Let go of before the next one comes.
-        self.wait(2);
+        let ms = self.app.smoke_ms(frames, |world, frame| stir(world, subjects[0], frame));
+        let pixels = average(&self.app.headless.float_pixels(), self.pixels, RAYS, unit);
+        self.app.clear(subjects.into_iter().chain([camera]));
         let rgb = pixels.into_iter().map(|[r, g, b, _]| [r, g, b]).collect();
-        let ms = (ms - self.empty_ms).max(1e-3);
         Ok(Drawn { pixels: rgb, ms })
     }
 
@@ -137,7 +111,7 @@ impl Stage {
         let Inputs { scene, grid, animation } = inputs;
         let (center, side) = scene.placement.center_and_side(grid.shape, grid.placement);
         let transform = Transform::from_translation(center.as_vec3()).with_scale(Vec3::splat(side as f32));
-        let world = self.headless.app.world_mut();
+        let world = self.app.world_mut();
         let (mut environment, unit) = environment(world, scene)?;
         if let Setting::Fog { steps, ambient } = setting {
             let light = FogLight::of(&coefficients(scene)?);
@@ -177,18 +151,6 @@ impl Stage {
             _ => {}
         }
         Ok(([vec![volume.id()], lights].concat(), unit))
-    }
-
-    /// Draws so many frames.
-    fn wait(&mut self, frames: u32) {
-        for _ in 0..frames {
-            self.frame();
-        }
-    }
-
-    /// Draws a frame, to its end; milliseconds.
-    fn frame(&mut self) -> f64 {
-        frame_timer::frame(&mut self.headless)
     }
 
     /// The path tracer's picture.

@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use clap::Args;
-use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
 use self::fit::{Fit, fit};
@@ -20,7 +19,7 @@ use crate::cli::output::{OutputFile, print};
 use crate::cli::references::{self, Reference};
 use crate::density;
 use crate::quality::model::candidates;
-use crate::quality::{SmokeModel, SmokeQuality};
+use crate::quality::{SmokeModel, SmokeQuality, SteadyChoice};
 use crate::random::SplitMix64;
 use crate::rbf::fit::FitTarget;
 use crate::reference::path::Events;
@@ -37,8 +36,8 @@ pub struct QualityStudyArgs {
     /// RBFs that densities are baked with
     #[arg(long, value_name = "N", default_value_t = 600)]
     rbfs: usize,
-    /// Models drawn of every scene beside those that the fit needs
-    #[arg(long, value_name = "N", default_value_t = 16)]
+    /// Models drawn of every scene beside simple ones, at random
+    #[arg(long, value_name = "N", default_value_t = 8)]
     others: usize,
     /// Rays a pixel along a side, as the references average over a pixel's area: the picture that is timed is so much larger
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=16))]
@@ -58,7 +57,7 @@ struct Report {
     /// Whether milliseconds are the GPU's.
     on_gpu: bool,
     fit: Fit,
-    /// Of models that no error was fitted to, though their times were, in the scenes fitted to; and of the held-out scenes.
+    /// Of what was chosen in the scenes fitted to; and of the held-out scenes.
     prediction: [Prediction; 2],
     choices: Vec<Chosen>,
     measurements: Vec<Measurement>,
@@ -68,7 +67,9 @@ struct Report {
 #[derive(Serialize, Default)]
 struct Prediction {
     pictures: usize,
-    /// Root mean square of ln(predicted / measured).
+    /// The share of them whose error is as small as predicted.
+    kept: f64,
+    /// Root mean square of ln(most likely / measured).
     error_log_rms: f64,
     milliseconds_log_rms: f64,
 }
@@ -101,6 +102,15 @@ struct Subject {
     animation: SmokeAnimation,
 }
 
+impl Subject {
+    /// The same, but for the phase function.
+    fn with_g(&self, g: f64) -> Self {
+        let mut reference = self.reference.clone();
+        reference.scene.g = g;
+        Self { held_out: self.held_out, reference, animation: self.animation.clone() }
+    }
+}
+
 /// Runs the study.
 pub fn run(args: &QualityStudyArgs) -> anyhow::Result<()> {
     let written = args.write.as_deref().map(|path| OutputFile::prepare(path, &[])).transpose()?;
@@ -109,20 +119,46 @@ pub fn run(args: &QualityStudyArgs) -> anyhow::Result<()> {
     if let Some(folder) = &args.held_out {
         read_subjects(folder, true, args.rbfs, &mut subjects)?;
     }
-    let bar = progress_bar();
-    let cases = || subjects.iter().flat_map(|subject| [Events::Single, Events::All].map(|events| (subject, events)));
-    let count = cases().count() as u64;
     let size = subjects[0].reference.scene.camera.size;
     ensure!(subjects.iter().all(|s| s.reference.scene.camera.size == size), "pictures of the scenes differ in size");
     let mut stage = Stage::new(size, args.rays)?;
-    let mut halves = [Stage::new(size, 1)?, Stage::new(size, 4)?];
-    let (adapter, on_gpu) = (stage.adapter(), stage.on_gpu());
-    let mut measurements = match &args.measured {
+    let measurements = match &args.measured {
         Some(path) => read_measurements(path)?,
-        None => Vec::new(),
+        None => measure(&subjects, &mut stage, args.others)?,
     };
-    let to_measure = if args.measured.is_some() { 0 } else { usize::MAX };
-    for (i, (subject, events)) in cases().enumerate().take(to_measure) {
+    let fit = fit(&measurements);
+    let (mut known, mut choices) = (measurements.clone(), Vec::new());
+    let bar = progress_bar();
+    for (i, (subject, events)) in cases(&subjects).enumerate() {
+        bar.set_message(format!("{}, choices", subject.reference.name));
+        choose(&mut stage.show(subject, events)?, &mut known, &fit, &mut choices)?;
+        bar.set_position(BAR_STEPS * (i as u64 + 1) / (2 * subjects.len() as u64));
+    }
+    bar.finish_and_clear();
+    let prediction = [false, true].map(|held_out| predict(&known, &fit, held_out));
+    let (adapter, on_gpu) = (stage.app.adapter(), stage.app.on_gpu());
+    let source = fit.to_rust(on_gpu);
+    let report = Report { adapter, on_gpu, fit, prediction, choices, measurements };
+    print(&format!("{}\n", serde_json::to_string_pretty(&report)?))?;
+    written.map_or(Ok(()), |file| file.write(source.as_bytes()))
+}
+
+/// Every scene, where light scatters once and where it does any number of times.
+fn cases(subjects: &[Subject]) -> impl Iterator<Item = (&Subject, Events)> {
+    subjects.iter().flat_map(|subject| [Events::Single, Events::All].map(|events| (subject, events)))
+}
+
+/// Mean cosines of phase functions that fewer bands are tried with, beside a scene's own.
+const OTHER_G: [f64; 2] = [0.2, 0.6];
+
+/// Draws and times models of every scene: simple ones, `others` drawn at random, half resolution at other sizes, and fewer bands
+/// with other phase functions.
+fn measure(subjects: &[Subject], stage: &mut Stage, others: usize) -> anyhow::Result<Vec<Measurement>> {
+    let size = subjects[0].reference.scene.camera.size;
+    let mut halves = [Stage::new(size, 1)?, Stage::new(size, 4)?];
+    let mut measurements = Vec::new();
+    let bar = progress_bar();
+    for (i, (subject, events)) in cases(subjects).enumerate() {
         bar.set_message(subject.reference.name.clone());
         let mut show = stage.show(subject, events)?;
         let mut random = SplitMix64(i as u64);
@@ -130,39 +166,39 @@ pub fn run(args: &QualityStudyArgs) -> anyhow::Result<()> {
         for model in simple_models(subject.reference.scene.g != 0.0 && events == Events::All) {
             measurements.push(show.measure(model, true)?);
         }
-        for _ in 0..args.others {
+        for _ in 0..others {
             let model = all[random.below(all.len())];
-            measurements.push(show.measure(model, false)?);
+            measurements.push(show.measure(model, true)?);
         }
         for stage in &mut halves {
-            measurements.push(stage.show(subject, events)?.measure_half()?);
+            let half = SmokeModel { half_resolution: true, ..SmokeModel::FULL };
+            measurements.push(stage.show(subject, events)?.measure_change(half)?);
         }
-        bar.set_position(BAR_STEPS * (i as u64 + 1) / count);
-    }
-    let fit = fit(&measurements);
-    let mut choices = Vec::new();
-    for (subject, events) in cases() {
-        choose(&mut stage.show(subject, events)?, &mut measurements, &fit, &mut choices)?;
+        if subject.reference.scene.g != 0.0 && events == Events::All {
+            drop(show);
+            for g in OTHER_G {
+                let other = subject.with_g(g);
+                let mut show = stage.show(&other, events)?;
+                for order in [1, 2, 3] {
+                    measurements.push(show.measure_change(SmokeModel { order, ..SmokeModel::FULL })?);
+                }
+            }
+        }
+        bar.set_position(BAR_STEPS * (i as u64 + 1) / (2 * subjects.len() as u64));
     }
     bar.finish_and_clear();
-    let prediction = [false, true].map(|held_out| predict(&measurements, &fit, held_out));
-    let source = fit.to_rust(on_gpu);
-    let report = Report { adapter, on_gpu, fit, prediction, choices, measurements };
-    print(&format!("{}\n", serde_json::to_string_pretty(&report)?))?;
-    written.map_or(Ok(()), |file| file.write(source.as_bytes()))
+    Ok(measurements)
 }
 
-/// The measurements that a run has printed, without those of what was chosen by its fit, which are its last.
+/// The measurements that a run has printed.
 fn read_measurements(path: &Path) -> anyhow::Result<Vec<Measurement>> {
     #[derive(Deserialize)]
     struct Printed {
-        choices: Vec<IgnoredAny>,
         measurements: Vec<Measurement>,
     }
     let text = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let mut printed: Printed = serde_json::from_slice(&text)
+    let printed: Printed = serde_json::from_slice(&text)
         .with_context(|| format!("{} is not what smoke study quality prints", path.display()))?;
-    printed.measurements.truncate(printed.measurements.len().saturating_sub(printed.choices.len()));
     Ok(printed.measurements)
 }
 
@@ -199,42 +235,54 @@ fn simple_models(directed: bool) -> Vec<SmokeModel> {
     models
 }
 
-/// Measures what auto comes to in a scene by the fit.
-fn choose(
-    show: &mut Show,
-    measurements: &mut Vec<Measurement>,
-    fit: &Fit,
-    choices: &mut Vec<Chosen>,
-) -> anyhow::Result<()> {
+/// Measures what auto comes to in a scene by the fit, and adds it to what is known.
+fn choose(show: &mut Show, known: &mut Vec<Measurement>, fit: &Fit, choices: &mut Vec<Chosen>) -> anyhow::Result<()> {
     let setting = show.setting()?;
-    let full = fit.milliseconds(&setting, &SmokeModel::FULL) as f32;
+    let full = show.measure(SmokeModel::FULL, false)?.milliseconds as f32;
     let asked = [0.01, 0.02, 0.04].map(SmokeQuality::Error);
     let budgets = [0.8, 0.6, 0.4].map(|share| SmokeQuality::Budget(share * full));
     for asked in asked.into_iter().chain(budgets) {
-        let chosen = fit.choose(asked, &setting);
-        let measured = show.measure(chosen, false)?;
+        let mut predictor = fit.predictor();
+        let mut steady = SteadyChoice::new(predictor.best(asked, &setting));
+        // As in an app: what frames take says how fast the machine is, and then something else may be better.
+        let (chosen, measured) = loop {
+            let chosen = steady.current.model;
+            let measured = show.measure(chosen, false)?;
+            let said = predictor.price_of(&setting, &chosen);
+            let is_kept = (0..FRAMES).all(|_| {
+                predictor.follow(measured.milliseconds as f32, said);
+                steady.update(asked, &setting, &predictor);
+                steady.current.model == chosen
+            });
+            if is_kept {
+                break (steady.current, measured);
+            }
+        };
         let of = |m: &Measurement| Some((m.error?, m.milliseconds));
         let (error, milliseconds) = of(&measured).context("there is a reference")?;
         let same = |m: &&Measurement| m.scene == measured.scene && m.setting.multiple == setting.multiple;
-        let known = measurements.iter().filter(same).filter_map(of);
-        let (missed, behind) = judge(asked, (error, milliseconds), &known.collect::<Vec<_>>());
+        let others: Vec<_> = known.iter().filter(same).filter_map(of).collect();
+        let (missed, behind) = judge(asked, (error, milliseconds), &others);
         choices.push(Chosen {
             scene: measured.scene.clone(),
             held_out: measured.held_out,
             multiple: setting.multiple,
             asked: format!("{asked:?}"),
-            why: format!("{chosen:?}"),
-            predicted_error: fit.error(&setting, &chosen),
+            why: format!("{:?}", chosen.model),
+            predicted_error: chosen.error.into(),
             error,
-            predicted_ms: fit.milliseconds(&setting, &chosen),
+            predicted_ms: chosen.milliseconds.into(),
             milliseconds,
             missed,
             behind,
         });
-        measurements.push(measured);
+        known.push(measured);
     }
     Ok(())
 }
+
+/// Frames that a choice lasts for good that lasts so long.
+const FRAMES: u32 = 200;
 
 /// How far what was chosen is from what was asked for, and behind the best that is known; all as error and milliseconds.
 fn judge(asked: SmokeQuality, chosen: (f64, f64), known: &[(f64, f64)]) -> (f64, f64) {
@@ -254,15 +302,18 @@ fn judge(asked: SmokeQuality, chosen: (f64, f64), known: &[(f64, f64)]) -> (f64,
 }
 
 /// How close the fit comes to pictures that it does not rest on.
-fn predict(measurements: &[Measurement], fit: &Fit, held_out: bool) -> Prediction {
+fn predict(known: &[Measurement], fit: &Fit, held_out: bool) -> Prediction {
     let mut prediction = Prediction::default();
-    let mut sums = [0.0; 2];
-    for m in measurements.iter().filter(|m| m.held_out == held_out && (held_out || !m.is_fitted)) {
+    let (mut sums, mut kept) = ([0.0; 2], 0);
+    for m in known.iter().filter(|m| m.held_out == held_out && (held_out || !m.is_fitted)) {
         let Some(error) = m.error else { continue };
-        sums[0] += (fit.error(&m.setting, &m.model) / error.max(1e-5)).ln().powi(2);
+        let likely = fit.likely_error(&m.setting, &m.model);
+        sums[0] += (likely / error.max(1e-5)).ln().powi(2);
+        kept += u32::from(error <= fit.error(&m.setting, &m.model));
         sums[1] += (fit.milliseconds(&m.setting, &m.model) / m.milliseconds).ln().powi(2);
         prediction.pictures += 1;
     }
+    prediction.kept = f64::from(kept) / prediction.pictures.max(1) as f64;
     let rms = |sum: f64| (sum / prediction.pictures.max(1) as f64).sqrt();
     (prediction.error_log_rms, prediction.milliseconds_log_rms) = (rms(sums[0]), rms(sums[1]));
     prediction

@@ -3,17 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use bevy::prelude::*;
-use bevy::render::render_resource::TextureFormat;
-use bevy::render::renderer::RenderAdapterInfo;
 use clap::Args;
 use serde::Serialize;
 
-use crate::cli::frame_timer;
+use crate::cli::frame_timer::TimedApp;
 use crate::cli::input::Smoke;
 use crate::cli::output::print;
 use crate::cli::render::{PictureKind, median, parse_size, spawn_scene};
 use crate::cli::scene::Scene;
-use crate::headless::Headless;
 use crate::prelude::*;
 
 /// Options of `smoke study table1`.
@@ -100,8 +97,7 @@ pub fn run(args: &Table1Args) -> anyhow::Result<()> {
     for input in &args.inputs {
         let smoke = Smoke::read(input, 0)?;
         let mut stage = Stage::new(&scene, smoke)?;
-        adapter = stage.headless.app.world().resource::<RenderAdapterInfo>().name.clone();
-        on_gpu = frame_timer::on_gpu(&stage.headless);
+        (adapter, on_gpu) = (stage.app.adapter(), stage.app.on_gpu());
         for (shading_name, shading) in SHADINGS {
             let mut plain: Option<(f64, Vec<[f32; 4]>)> = None;
             for (optimization, mask, skip_empty) in WAYS {
@@ -152,7 +148,7 @@ impl Report {
 
 /// A windowless app with one volume.
 struct Stage {
-    headless: Headless,
+    app: TimedApp,
     volume: Entity,
     /// Frames drawn so far.
     drawn: u32,
@@ -160,38 +156,39 @@ struct Stage {
 
 impl Stage {
     fn new(scene: &Scene, smoke: Smoke) -> anyhow::Result<Self> {
-        let mut headless = frame_timer::headless(scene.camera.size.into(), TextureFormat::Rgba16Float)?;
+        let mut app = TimedApp::new(scene.camera.size.into())?;
         let lattice = LiveDensity::new(Handle::default()).lattice;
-        let (volume, _) = spawn_scene(&mut headless, scene, smoke, lattice, SmokeScattering::SINGLE, PictureKind::Exr)?;
+        let (volume, _) =
+            spawn_scene(&mut app.headless, scene, smoke, lattice, SmokeScattering::SINGLE, PictureKind::Exr)?;
         // So that nothing else is drawn before the first constellation.
         let alpha = SmokeConstellation { shading: ConstellationShading::Alpha, ..default() };
-        headless.app.world_mut().entity_mut(volume).insert(alpha);
-        headless.settle()?;
-        Ok(Self { headless, volume, drawn: 0 })
+        app.world_mut().entity_mut(volume).insert(alpha);
+        app.headless.settle()?;
+        Ok(Self { app, volume, drawn: 0 })
     }
 
     /// Median milliseconds of a frame, and the picture.
     fn draw(&mut self, settings: SmokeConstellation, frames: u32) -> anyhow::Result<(f64, Vec<[f32; 4]>)> {
-        self.headless.app.world_mut().entity_mut(self.volume).insert(settings);
+        self.app.world_mut().entity_mut(self.volume).insert(settings);
         self.update();
         let times = (0..frames).map(|_| self.update()).collect();
         if !self.drawn.is_multiple_of(2) {
             // The same place for all pictures.
             self.update();
         }
-        Ok((median(times).unwrap_or_default(), self.headless.float_pixels()))
+        Ok((median(times).unwrap_or_default(), self.app.headless.float_pixels()))
     }
 
     /// Draws a frame, to its end; milliseconds. The camera moves next to nothing, so that masks are made anew.
     fn update(&mut self) -> f64 {
         self.drawn += 1;
         let nudge = if self.drawn.is_multiple_of(2) { 1e-5 } else { -1e-5 };
-        let world = self.headless.app.world_mut();
+        let world = self.app.world_mut();
         let mut cameras = world.query_filtered::<&mut Transform, With<Camera3d>>();
         for mut transform in cameras.iter_mut(world) {
             transform.translation.x += nudge;
         }
-        frame_timer::frame(&mut self.headless)
+        self.app.frame()
     }
 }
 
