@@ -8,7 +8,7 @@ pub const GPU_PRICES: Prices = [0.10835, 0.0, 0.21866, 0.0, 0.20378, 0.020759, 0
 /// On a CPU.
 pub const CPU_PRICES: Prices = [34.357, 62.75, 337.56, 125.82, 0.0, 22.476, 155.03, 85.378, 63.319];
 
-/// Against path tracing; what is left out is 1.17 times as much as is likely.
+/// Against path tracing; what is left out is taken for somewhat more than is likely.
 pub const ERRORS: Errors = [
     [-2.7254, 1.39, 0.21616, 0.16394],
     [-3.6123, 1.1123, 0.82637, 0.68026],

@@ -20,10 +20,10 @@ pub enum SmokeQuality {
     /// As said.
     Model(SmokeModel),
     /// The cheapest model whose picture is predicted to be this close: relative RMS error over the smoke's pixels, 0.02 being
-    /// two percent.
+    /// two percent. Where none is, the cheapest of those that are next to as close as any.
     Error(f32),
     /// The most accurate model that is predicted to take at most so many milliseconds of the GPU in a frame in which all of
-    /// the volume changes, all views together.
+    /// the volume changes, all views together. Where none does, the most accurate of those that are next to as fast as any.
     Budget(f32),
 }
 

@@ -55,9 +55,9 @@ impl Setting {
     }
 
     /// ln of the optical radius of the RBFs that light is computed at: where fewer stand for all, they are as much larger. That
-    /// of the thinnest smoke that has been measured, where it is thinner still.
+    /// of the thinnest or the densest smoke that has been measured, where it is thinner or denser still.
     pub fn radius(&self, model: &SmokeModel) -> f32 {
-        self.optical_radius.max(0.015).ln() + self.fewer(model) / 3.0
+        self.optical_radius.clamp(0.015, 0.5).ln() + self.fewer(model) / 3.0
     }
 
     /// ln of how many times as many RBFs there are as light is computed at.
@@ -131,7 +131,7 @@ pub fn square(features: &[f32; FEATURES], weights: &[f32; FEATURES]) -> f32 {
     (2.0 * log).exp()
 }
 
-/// What a lamp adds to the work at a cell, by measurement.
+/// What a lamp adds to the work at a cell, by measurement with one lamp.
 const LAMP: f32 = 0.4;
 
 /// Sweeps that a solve takes where the solution before is not far off.

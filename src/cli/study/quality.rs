@@ -174,7 +174,7 @@ fn measure(subjects: &[Subject], stage: &mut Stage, others: usize) -> anyhow::Re
             let half = SmokeModel { half_resolution: true, ..SmokeModel::FULL };
             measurements.push(stage.show(subject, events)?.measure_change(half)?);
         }
-        if subject.reference.scene.g != 0.0 && events == Events::All {
+        if subject.reference.scene.g != 0.0 && events == Events::All && !subject.held_out {
             drop(show);
             for g in OTHER_G {
                 let other = subject.with_g(g);
@@ -245,7 +245,8 @@ fn choose(show: &mut Show, known: &mut Vec<Measurement>, fit: &Fit, choices: &mu
         let mut predictor = fit.predictor();
         let mut steady = SteadyChoice::new(predictor.best(asked, &setting));
         // As in an app: what frames take says how fast the machine is, and then something else may be better.
-        let (chosen, measured) = loop {
+        let mut tried: Vec<Measurement> = Vec::new();
+        let chosen = loop {
             let chosen = steady.current.model;
             let measured = show.measure(chosen, false)?;
             let said = predictor.price_of(&setting, &chosen);
@@ -254,12 +255,14 @@ fn choose(show: &mut Show, known: &mut Vec<Measurement>, fit: &Fit, choices: &mu
                 steady.update(asked, &setting, &predictor);
                 steady.current.model == chosen
             });
-            if is_kept {
-                break (steady.current, measured);
+            tried.push(measured);
+            if is_kept || tried.len() == MOST {
+                break steady.current;
             }
         };
+        let measured = tried.last().context("one is tried at least")?;
         let of = |m: &Measurement| Some((m.error?, m.milliseconds));
-        let (error, milliseconds) = of(&measured).context("there is a reference")?;
+        let (error, milliseconds) = of(measured).context("there is a reference")?;
         let same = |m: &&Measurement| m.scene == measured.scene && m.setting.multiple == setting.multiple;
         let others: Vec<_> = known.iter().filter(same).filter_map(of).collect();
         let (missed, behind) = judge(asked, (error, milliseconds), &others);
@@ -276,13 +279,15 @@ fn choose(show: &mut Show, known: &mut Vec<Measurement>, fit: &Fit, choices: &mu
             missed,
             behind,
         });
-        known.push(measured);
+        known.append(&mut tried);
     }
     Ok(())
 }
 
 /// Frames that a choice lasts for good that lasts so long.
 const FRAMES: u32 = 200;
+/// Models that are tried for a choice, at most.
+const MOST: usize = 20;
 
 /// How far what was chosen is from what was asked for, and behind the best that is known; all as error and milliseconds.
 fn judge(asked: SmokeQuality, chosen: (f64, f64), known: &[(f64, f64)]) -> (f64, f64) {
